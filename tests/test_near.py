@@ -58,3 +58,7 @@ def test_nearness_is_of_letters_in_their_order(written, known, meant):
 def test_units_are_suggested_as_names_are():
     assert "Did you mean 'degC'?" in units.unknown("DegC")
     assert "Did you mean" not in units.unknown("furlongs")
+
+
+def test_where_there_are_no_names_none_is_said_to_be_known():
+    assert unknown_name("policy", "best", ()) == "No policy named 'best'. Known: none."

@@ -360,7 +360,7 @@ class _Replay:
         if rows < 0:
             return _open("delay", "the log's torques come before the targets that they follow")
         least, most = rows * row, (rows + 1) * row
-        shown = f"{1e3 * least:.3g} to {1e3 * most:.3g} ms by the log's torques"
+        shown = f"{1e3 * least:.3g} to below {1e3 * most:.3g} ms by the log's torques"
         if stated is None:
             return _open("delay", f"nobody states it; it is {shown}")
         slack = 1e-3 * row

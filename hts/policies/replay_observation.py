@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hts.policies.replay_targets import told_apart
 from hts.policies.terms import ABSOLUTE
 
 SEEN_TOLERANCE = 1e-4  # of an observation's entry, relative where it is larger than 1
@@ -44,12 +45,10 @@ def explained(
     slope = _slope(seen, expected)
     if slope is not None:
         place = int(np.abs(slope - 1).argmax())
-        scale, said = slope[place] * factor[place], factor[place]
+        scale, said = told_apart(slope[place] * factor[place], factor[place])
         turned = f", as if {'it' if slope[place] > 1 else 'the log'} were in degrees" if _degrees(slope[place]) else ""
         sign = ": the sign is another" if math.isclose(slope[place], -1, rel_tol=1e-3) else ""
-        return (
-            f"the scale of {name} is {scale:.4g} by the log ({labels[place]}), the layout says {said:.4g}{sign}{turned}"
-        )
+        return f"the scale of {name} is {scale} by the log ({labels[place]}), the layout says {said}{sign}{turned}"
     if name in (OFFSET, ABSOLUTE):
         apart = seen / factor - expected / factor
         if np.all(np.ptp(apart, axis=0) <= SEEN_TOLERANCE):

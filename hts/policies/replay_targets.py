@@ -9,6 +9,13 @@ import numpy as np
 TARGET_TOLERANCE = 1e-4  # rad: float32 of an angle, and of the sum that makes it
 
 
+def told_apart(found: float, said: float) -> tuple[str, str]:
+    """Two numbers with four digits, or as many more as it takes to tell one from the other."""
+    return next(
+        pair for digits in range(4, 18) if (pair := (f"{found:.{digits}g}", f"{said:.{digits}g}"))[0] != pair[1]
+    )
+
+
 def explained(names: Sequence[str], pose: np.ndarray, scale: np.ndarray, action: np.ndarray, target: np.ndarray) -> str:
     """In words, what of the contract is wrong if targets (n, J) follow actions (n, J), one by one, by another order,
     scale or pose; empty if they do not. names, pose rad, scale rad per unit: the contract's, in its order."""
@@ -35,12 +42,8 @@ def explained(names: Sequence[str], pose: np.ndarray, scale: np.ndarray, action:
             )
     for joint, name in enumerate(names):
         if abs(slope[joint] - scale[joint]) * np.abs(action[:, joint]).max() > TARGET_TOLERANCE:
-            return (
-                f"action_scale of {name} is {slope[joint]:.5g} rad by the log's targets, the contract says "
-                f"{scale[joint]:.5g}"
-            )
+            found, said = told_apart(slope[joint], scale[joint])
+            return f"action_scale of {name} is {found} rad by the log's targets, the contract says {said}"
     joint = int(np.abs(level - pose).argmax())
-    return (
-        f"default_pose of {names[joint]} is {level[joint]:.5g} rad by the log's targets, the contract says "
-        f"{pose[joint]:.5g}"
-    )
+    found, said = told_apart(level[joint], pose[joint])
+    return f"default_pose of {names[joint]} is {found} rad by the log's targets, the contract says {said}"

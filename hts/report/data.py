@@ -9,40 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from hts.errors import RunError
 from hts.explain import explain
 from hts.places import resume_command
+from hts.report.shapes import Evaluation, Part, Segments, Summary
 from hts.report.task_words import TaskWords
 
 Json = dict[str, Any]
-
-
-class FinalPart(BaseModel):
-    """The final of a summary.json: the policy, and by objective what it saves."""
-
-    policy: str = Field(description="the result of the run")
-    objectives: dict[str, dict[str, Any]] = Field(description="what it saves; empty: the policy to start from stays")
-
-
-class Summary(BaseModel):
-    """What a summary.json of any version holds, and no report is made without; the rest makes the page fuller."""
-
-    model_config = ConfigDict(strict=True, extra="ignore")
-
-    objectives: list[str] = Field(description="names")
-    iterations: list[dict[str, Any]] = Field(description="what became of each")
-    final: FinalPart | None = Field(description="the final; null: there was none")
-
-
-class SegmentsPart(BaseModel):
-    """segments.json: of one objective at one speed, quantity -> one number a segment; null: not finite."""
-
-    model_config = ConfigDict(strict=True, extra="ignore")
-
-    policy: dict[str, list[float | None]] = Field(description="of the result of the run")
-    reference: dict[str, list[float | None]] = Field(description="of the pretrained policy")
 
 
 @dataclass(frozen=True)
@@ -144,15 +119,12 @@ def read_run(folder: Path) -> RunData:
                 f"{folder}: this run is not finished (no summary.json). Go on with it: `{resume_command(folder)}`."
             )
         raise RunError(f"{folder}: holds no run (no summary.json). Give the folder that `hts run` named at its end.")
-    again = f"Delete it and `{resume_command(folder)}`: it is written again."
-    summary = _json(path, again)
-    try:
-        Summary.model_validate(summary)
-    except ValidationError as error:
-        raise RunError(
-            f"{path}: damaged ({explain(error, Summary).rstrip('.')}). Expected what a finished run says of itself. "
-            f"{again}"
-        ) from error
+    summary = _shaped(
+        path,
+        Summary,
+        f"If it was a finished run's, delete it and `{resume_command(folder)}`: it is written again. Else give the "
+        "folder that `hts run` named at its end.",
+    )
     return RunData(
         folder=folder,
         summary=summary,
@@ -168,8 +140,10 @@ def read_run(folder: Path) -> RunData:
             if (fit := _json(folder / "iterations" / f"{int(iteration['index']):02d}" / "fit.json", NO_FIT))
         },
         segments=_segments(folder / "segments.json"),
-        evaluation=_json(
-            folder / "evaluation.json", f"Delete it; `hts evaluate {folder}` compares anew and writes another."
+        evaluation=_shaped(
+            folder / "evaluation.json",
+            Evaluation,
+            f"Delete it; `hts evaluate {folder}` compares anew and writes another.",
         ),
     )
 
@@ -178,11 +152,17 @@ def _segments(path: Path) -> Json:
     """segments.json, {} if there is none."""
     again = f"`{resume_command(path.parent)}` makes the final again."
     mend = f"Delete it, final.json, summary.json and report.html, and {again}"
+    return _shaped(path, dict[str, dict[str, Segments]], mend)
+
+
+def _shaped(path: Path, shape: Any, mend: str) -> Json:
+    """The file's object, {} if there is no such file. shape: what it must hold; mend: as of `_json`."""
     found = _json(path, mend)
-    try:
-        TypeAdapter(dict[str, dict[str, SegmentsPart]]).validate_python(found)
-    except ValidationError as error:
-        raise RunError(f"{path}: damaged ({explain(error, SegmentsPart).rstrip('.')}). {mend}") from error
+    if path.is_file():
+        try:
+            TypeAdapter(shape).validate_python(found)
+        except ValidationError as error:
+            raise RunError(f"{path}: damaged ({explain(error, Part).rstrip('.')}). {mend}") from error
     return found
 
 

@@ -215,13 +215,13 @@ class _Styles:
         return self.markers[str(candidate["anchor"])]
 
     def color(self, candidate: Json, objective: str) -> str:
-        return self.colors[candidate["weights"][objective]]
+        return self.colors[candidate["weights"].get(objective, 0.0)]
 
 
 def _styles(rows: list[Json], objective: str) -> _Styles:
     """Over all iterations. λ that follow each iteration's model (`Objective.weights_for`) are nearly the same in all of
     them, so where all have as many, the smallest of each have one colour, and so on."""
-    found = [sorted({one["weights"][objective] for one in row["candidates"]}) for row in rows]
+    found = [sorted({one["weights"].get(objective, 0.0) for one in row["candidates"]}) for row in rows]
     groups = [sorted(set(alike)) for alike in zip(*found, strict=False)]
     if len({len(row) for row in found}) > 1 or any(low[-1] >= high[0] for low, high in pairwise(groups)):
         groups = [[weight] for weight in sorted({weight for row in found for weight in row})]

@@ -152,6 +152,9 @@ GLOSSARY: tuple[tuple[str, str], ...] = (
     ),
     (
         "Steps in simulation, samples from reality",
-        "Control steps of all training; control steps recorded for learning.",
+        (
+            "Control steps of all training, of judging candidates and of the gate; control steps of the robot's time, "
+            "real or simulated, the pretrained policy's turns and the final among it."
+        ),
     ),
 )

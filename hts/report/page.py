@@ -63,7 +63,7 @@ def contents(run: RunData) -> dict[str, Any]:
     title, text = world_words(run)
     objectives = [_objective(run, name) for name in run.objectives]
     return {
-        "title": f"{wording.label(' and '.join(run.objectives))} on {summary.get('robot', 'a robot')}"
+        "title": f"{wording.label(' and '.join(run.objectives))} on {summary['robot']}"
         + (" in simulated reality" if run.world_simulated else ""),
         "where": run.where,
         "facts": _facts(run),
@@ -124,10 +124,12 @@ def identity_words(run: RunData) -> str:
 
 def _facts(run: RunData) -> list[str]:
     summary = run.summary
-    facts = [f"preset {summary['preset']}{PRESET_NOTES.get(summary['preset'], '')}"] if summary.get("preset") else []
-    facts += [f"engine {summary['engine']}"] if summary.get("engine") else []
-    facts += [f"seed {summary['seed']}"] if summary.get("seed") is not None else []
-    facts.append(f"{len(run.iterations)} iteration{'' if len(run.iterations) == 1 else 's'}")
+    facts = [
+        f"preset {summary['preset']}{PRESET_NOTES.get(summary['preset'], '')}",
+        f"engine {summary['engine']}",
+        f"seed {summary['seed']}",
+        f"{len(run.iterations)} iteration{'' if len(run.iterations) == 1 else 's'}",
+    ]
     if summary.get("note"):
         facts.append(summary["note"])
     elif run.config.get("reward_source", "model") != "model":

@@ -74,7 +74,7 @@ def _every_second(found: Json | None, unit: str) -> str:
     """The improvement whatever the speed of a second was, and its interval."""
     if not found:
         return "–"
-    bounds = found["improvement_ci95"]
+    bounds = found.get("improvement_ci95")
     return wording.quantity(found["improvement"], unit) + (f" ({wording.interval(bounds, unit)})" if bounds else "")
 
 

@@ -42,12 +42,15 @@ from hts.run.stages import ENDED_EARLY, Stages, write_json
 from hts.run.summary import summarise
 from hts.run.testing_elites import test
 
-STAGES_AROUND = 5  # collect, confirm, final, summary, report
+
+def stages_around(config: RunConfig) -> int:
+    """Final, summary, report; and what this configuration has of collect and confirm."""
+    return 3 + config.records_first + bool(config.selection.confirm)
 
 
 def stages_per_iteration(config: RunConfig) -> int:
-    """Fit, fine-tune, judge, test; and what is switched on."""
-    return 4 + config.evaluation.each_iteration + config.gate.enabled + may_go_nearer(config)
+    """Fine-tune, judge, test; and what this configuration has of the others. `nearer` may turn out not to be due."""
+    return 3 + config.fits_models + config.evaluation.each_iteration + config.gate.enabled + may_go_nearer(config)
 
 
 def run(config: RunConfig, folder: Path, registry: Registry, kind: type[Job] = Job) -> Path:
@@ -56,7 +59,7 @@ def run(config: RunConfig, folder: Path, registry: Registry, kind: type[Job] = J
 
     kind: what its stages work with; an oracle's is another one.
     """
-    progress = Progress(total=STAGES_AROUND + stages_per_iteration(config) * config.iterations)
+    progress = Progress(total=stages_around(config) + stages_per_iteration(config) * config.iterations)
     stages = Stages(folder, progress, read_stage)
     try:
         check_config(folder, config, registry)  # before anything is made of what it says
@@ -83,34 +86,30 @@ def algorithm_1(job: Job) -> dict[str, Any]:
     job.prepare()
     if config.records_first:
         job.do("collect", "collect real data of the pretrained policy", partial(collect, job))
-    else:
-        job.stages.progress.skip(1)
     best = job.first
     for i in range(config.iterations):
         name = f"iterations/{i:02d}"
         if not goes_on(job, i):
             job.say(cap_reached(job, i))
-            job.stages.progress.skip(stages_per_iteration(config) * (config.iterations - i))
+            job.stages.progress.leave_out(stages_per_iteration(config) * (config.iterations - i))
             break
         about = f"iteration {i:02d} ({i + 1} of {config.iterations})"  # the number is that of its folder
         if config.fits_models:
             job.do(f"{name}/fit", f"{about}: fit measurement models", partial(fit, job, i))
             check_fitted(job, i)
-        else:
-            job.stages.progress.skip(1)
         job.do(f"{name}/finetune", f"{about}: fine-tune candidates", partial(finetune, job, i, best))
         job.do(f"{name}/simulate", f"{about}: judge candidates in simulation", partial(simulate, job, i))
         check_iteration(job, i)
         if has_gate(config, job.folder / name):
             job.do(f"{name}/gate", f"{about}: try elites over varied dynamics", partial(gate, job, i))
         elif config.gate.enabled:
-            job.stages.progress.skip(1)
+            job.stages.progress.leave_out(1)
         if may_go_nearer(config):
-            if is_due(job, i):
+            if is_due(job, i) or (job.folder / name / "nearer.json").exists():
                 title = f"{about}: judge candidates closer to their anchors"
                 job.do(f"{name}/nearer", title, partial(nearer, job, i, best))
             else:
-                job.stages.progress.skip(1)
+                job.stages.progress.leave_out(1)
         trying = f"{about}: try elites in world '{config.world.name}'"
         tested = job.do(f"{name}/test", trying, partial(test, job, i, best))
         if tested["best"] is None:
@@ -124,8 +123,6 @@ def algorithm_1(job: Job) -> dict[str, Any]:
     if config.selection.confirm:
         best = job.do("confirm", "try the best of all iterations again", partial(confirm, job, best))["best"]
         check_confirmed(job)
-    else:
-        job.stages.progress.skip(1)
     about = f"final head-to-head in world '{config.world.name}'"
     job.do("final", about, partial(final, job, finalists(job, best)))
     check_final(job)

@@ -14,8 +14,8 @@ START = 0.05  # share of a stage that says nothing of the rest: kernels are comp
 
 
 class Progress:
-    """Stages one after the other. total: how many there are; skipped ones do not count; begun: how many were done here,
-    rather than earlier."""
+    """Stages one after the other. total: how many there are; index: the number of the last one that was begun or
+    skipped; begun: how many were done here, rather than earlier."""
 
     def __init__(self, total: int, console: Console | None = None) -> None:
         self.console = console or Console()
@@ -63,6 +63,10 @@ class Progress:
     def skip(self, count: int) -> None:
         """So many stages were finished earlier."""
         self.index += count
+
+    def leave_out(self, count: int) -> None:
+        """So many stages that were counted are not there after all."""
+        self.total -= count
 
     def say(self, text: str) -> None:
         """One line."""

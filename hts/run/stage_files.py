@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from hts.explain import explain
-from hts.report.data import Summary
+from hts.report.shapes import Summary
 from hts.run.stages import damaged, read_json
 
 if TYPE_CHECKING:

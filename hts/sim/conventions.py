@@ -71,15 +71,21 @@ def missing(model: mujoco.MjModel, spec: RobotSpec, velocity_task: bool = True) 
     return f"its model has {', '.join(parts)}. Add what is missing to the MJCF, under these names ({WHERE})."
 
 
+def without_free_trunk(model: mujoco.MjModel, spec: RobotSpec) -> str:
+    """What the first joint is where it is not the free joint of the trunk, in words; empty where it is."""
+    if model.njnt > 0 and model.jnt_type[0] == FREE and model.jnt_bodyid[0] == model.body(spec.trunk_body).id:
+        return ""
+    return (
+        f"the first joint of its model is {_first_joint(model)}, expected a free joint of body '{spec.trunk_body}'. "
+        f"Give that body a <freejoint/>, before all other joints ({WHERE})."
+    )
+
+
 def joints_out_of_order(model: mujoco.MjModel, spec: RobotSpec) -> str:
     """The first joint or actuator whose place in the model is not the spec's, in words; empty for none. No body and no
     joint may be missing."""
-    trunk = model.body(spec.trunk_body)
-    if model.njnt == 0 or model.jnt_type[0] != FREE or model.jnt_bodyid[0] != trunk.id:
-        return (
-            f"the first joint of its model is {_first_joint(model)}, expected a free joint of body "
-            f"'{spec.trunk_body}'. Give that body a <freejoint/>, before all other joints ({WHERE})."
-        )
+    if fixed := without_free_trunk(model, spec):
+        return fixed
     tree = [model.joint(index).name or NAMELESS for index in range(1, model.njnt)]
     if tree != list(spec.joint_names):
         advice = "Write SPEC.joint_names, and every tuple that follows it, in the order of the tree"

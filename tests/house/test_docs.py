@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 
@@ -43,6 +44,12 @@ def test_every_file_that_a_page_names_is_there(page):
     named = set(re.findall(rf"(?<![\w/.-])((?:{folders})/[\w./-]+\.(?:py|json|md|yaml)\b)", text))
     theirs = THEIRS.get(str(page.relative_to(DOCS)) if page.is_relative_to(DOCS) else "", set())
     assert {name for name in named - theirs if not (REPOSITORY / name).exists()} == set()
+
+
+def test_everything_of_ours_that_a_page_names_can_be_imported():
+    for page in PAGES:
+        for name in set(re.findall(r"`(hts(?:\.(?!json)[A-Za-z_]\w*)+)[`(]", page.read_text())):
+            resolve_name(name)  # raises for what is not there
 
 
 def test_the_file_for_a_robot_of_another_size_holds_settings_and_what_the_presets_have_instead(tmp_path):

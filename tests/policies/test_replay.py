@@ -22,6 +22,7 @@ from hts.policies.layout import Layout, load_layout
 from hts.policies.proof import ACCEPTED, ITEMS, NOT_PROVEN, PROVEN, State, accepted, as_card, unproven
 from hts.policies.replay import replay
 from hts.policies.replay_log import read_log
+from hts.policies.replay_targets import told_apart
 
 NAMES = ("a_hip", "a_knee", "b_hip", "b_knee")
 SPEC = RobotSpec(
@@ -146,7 +147,10 @@ WRONG = {
         r"of a_knee kp 3\d\.?\d* and .* the contract's 33 and",
     ),
     "kd": ({"kd": 0.5}, r"of ._knee kp .* and kd 0\.[78]\d* .* the contract's 30 and 0.5"),
-    "delay": ({"delay_seconds": (0.025, 0.03)}, "the delay is 0 to 20 ms by the log's torques, delay_seconds says 25"),
+    "delay": (
+        {"delay_seconds": (0.025, 0.03)},
+        "the delay is 0 to below 20 ms by the log's torques, delay_seconds says 25",
+    ),
     "rate": (
         {"control_rate_hz": 100.0},
         "its actions change 50 times a second by the log's stamps, control_rate_hz says 100",
@@ -167,6 +171,11 @@ def test_a_full_log_refutes_what_is_wrong_and_actions_alone_leave_it_open(checkp
     assert by_state(found, PROVEN) == ["actions"]
 
 
+def test_two_numbers_have_as_many_digits_as_tell_them_apart():
+    assert told_apart(0.35, 0.36) == ("0.35", "0.36")
+    assert told_apart(0.25, 0.2500004) == ("0.25", "0.2500004")
+
+
 def changed(number, **keys):
     """PARTS with other keys in one of them."""
     return tuple({**part, **(keys if place == number else {})} for place, part in enumerate(PARTS))
@@ -174,6 +183,11 @@ def changed(number, **keys):
 
 WRONG_PARTS = {
     "a scale": (changed(1, scale=1.0), {}, r"the scale of command is 2 by the log \(x\), the layout says 1"),
+    "a scale that is hardly another": (
+        changed(1, scale=[1.9996, 2.0, 0.25]),
+        {},
+        r"the scale of command is 2 by the log \(x\), the layout says 1\.9996",
+    ),
     "degrees": (
         PARTS,
         {"joint_velocity": np.degrees},
@@ -238,7 +252,9 @@ def test_stamps_at_another_rate_refute_the_rate(checkpoint, full):
         states(checkpoint, {**full, "time": 1.25 * full["time"]})
 
 
-@pytest.mark.parametrize(("delay", "shown"), [(0.002, "0 to 5 ms"), (0.012, "10 to 15 ms"), (0.035, "35 to 40 ms")])
+@pytest.mark.parametrize(
+    ("delay", "shown"), [(0.002, "0 to below 5 ms"), (0.012, "10 to below 15 ms"), (0.035, "35 to below 40 ms")]
+)
 def test_a_faster_log_shows_the_delay_more_sharply(checkpoint, delay, shown):
     arrays = walk(delay, every=5)
     found = states(checkpoint, arrays, replace(TRUE, delay_seconds=(delay, delay)))

@@ -23,6 +23,10 @@ def summary(*improvements, policy="00-01", speeds=(0.5, 0.8), samples=1000):
     }
     return {
         "objectives": ["power"],
+        "robot": "go1",
+        "preset": "smoke",
+        "engine": "mujoco",
+        "seed": 7,
         "iterations": [],
         "front": {"units": {"power": "1"}},
         "real_samples": samples,

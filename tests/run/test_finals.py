@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -75,6 +76,13 @@ def kept(ended, tmp_path_factory):
             lambda self, policy, *rest: finals_of.append(file_hash(policy)) or plain(self, policy, *rest),
         )
         return *ended(tmp_path_factory.mktemp("kept")), len(set(finals_of))
+
+
+def test_the_first_final_is_all_of_the_stage_while_it_keeps_all_speeds(tmp_path, monkeypatch):
+    shares = []
+    monkeypatch.setattr(finals, "_final_of", lambda job, name, report: report(1.0) or Tried(name))
+    finals.final(SimpleNamespace(folder=tmp_path), ["00-00", "00-01", "01-00"], shares.append)
+    assert shares == [1.0]
 
 
 def test_who_keeps_all_speeds_needs_no_other(kept):

@@ -140,7 +140,10 @@ def test_judged_candidates_of_another_run_are_laid_to_the_file_that_is_at_fault(
         (
             lambda found: {
                 **found,
-                "iterations": [{**found["iterations"][0], "candidates": [{"id": "00-00", "kl": 9.0}]}],
+                "iterations": [
+                    {**one, "candidates": [{**row, "kl": 9.0} for row in one["candidates"]]}
+                    for one in found["iterations"]
+                ],
             },
             "its 00-00 is none of the candidates of iteration 00",
         ),

@@ -15,7 +15,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+from hts.config_loading import read_config
 from hts.errors import RunError
+from hts.run.algorithm import stages_around, stages_per_iteration
 from hts.run.progress import Progress
 from hts.run.stages import Stages, read_json, write_json
 
@@ -69,6 +71,20 @@ def test_finished_stages_count_when_the_next_is_numbered(stages, tmp_path, shown
     stages.do("collect", "collect", lambda report: None)
     stages.do("final", "final", lambda report: None)
     assert shown.getvalue().startswith("[2/3] final\n[2/3] final: 0.0 s")
+
+
+def test_a_stage_that_is_not_there_after_all_leaves_no_gap_in_the_numbers(stages, shown):
+    stages.do("collect", "collect", lambda report: None)
+    stages.progress.leave_out(1)
+    stages.do("final", "final", lambda report: None)
+    assert shown.getvalue().splitlines()[-1].startswith("[2/2] final: ")
+
+
+def test_only_stages_that_its_configuration_has_are_counted(finished):
+    config = read_config(finished.folder / "config.yaml")
+    done = json.loads((finished.folder / "log" / "stages.json").read_text())
+    counted = stages_around(config) + stages_per_iteration(config) * config.iterations
+    assert counted == len(done) + 1  # the report is no JSON file
 
 
 def test_the_time_of_each_stage_is_kept(stages):

@@ -15,7 +15,7 @@ import pytest
 
 from hts import plugins
 from hts.contracts import Fact
-from hts.errors import RunError
+from hts.errors import ConfigError, RunError
 from hts.worlds.realities import batch as batch_module
 from hts.worlds.realities.batch import Asked, draw_many, parameters_of
 from hts.worlds.realities.check import Verdict, check
@@ -172,11 +172,38 @@ def fact(low, high, speed=0.0) -> Fact:
     return Fact(f"x at {speed:g}", speed, low, high, "K", "E", lambda channels, idle: float(channels["x"].mean()))
 
 
+def test_a_robot_in_a_single_module_brings_no_realities_and_hides_none(install):
+    source = (
+        "from hts import hookimpl\n"
+        "HTS_API = 2\n"
+        "def make(settings):\n"
+        "    raise AssertionError\n"
+        "@hookimpl\n"
+        "def hts_robots(register):\n"
+        "    register('alone', make)\n"
+    )
+    before = known_names()
+    install("hts_alone", {"hts_alone": source}, {"alone": "hts_alone"})
+    assert known_names() == before != {}
+
+
 def test_statics_drop_a_draw_that_stands_far_outside_without_simulating_it(registry, tmp_path):
     verdict = check(
         registry.make_robot("go1"), TwinSettings(), {"x": Meter(10.0, fact(1.0, 2.0))}, tmp_path / "no policy.onnx"
     )
     assert not verdict.kept and verdict.why == "x at 0 10 K by statics"
+
+
+def test_a_robot_of_which_there_is_no_twin_ends_the_draws_and_drops_none(registry, tmp_path):
+    class Spoilt(type(registry.make_robot("go1"))):
+        def mjcf(self):
+            root = super().mjcf()
+            root.find("joint", "FL_calf_joint").name = "FL_knee"
+            return root
+
+    robot = Spoilt(registry.make_robot("go1").settings)
+    with pytest.raises(ConfigError, match="its model has no joint 'FL_calf_joint'"):
+        check(robot, TwinSettings(), {}, tmp_path / "never_asked.onnx")
 
 
 def test_statics_stand_as_the_default_twin_does_in_simulation(registry):

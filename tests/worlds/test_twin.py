@@ -12,7 +12,7 @@ from witness import Witness
 from hts import plugins
 from hts.config import Command, ScheduleConfig
 from hts.contracts import WorldContext
-from hts.errors import ConfigError
+from hts.errors import ConfigError, HtsError
 from hts.policies.files import load_policy
 from hts.worlds.base import Operator, commands, in_groups
 from hts.worlds.twin.dynamics import Dynamics
@@ -41,6 +41,37 @@ def machine(robot):
 
 
 # ------------------------------------------------------------------------------------------------ body
+
+
+def _massless(root):
+    root.find("body", "trunk").inertial.mass = 0
+
+
+def _renamed(root):
+    root.find("joint", "FL_calf_joint").name = "FL_knee"
+
+
+def _on_a_stand(root):
+    root.find("body", "trunk").freejoint.remove()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (_massless, "compiling what .* must be larger than mjMINVAL"),
+        (_renamed, "its model has no joint 'FL_calf_joint'"),
+        (_on_a_stand, "expected a free joint of body 'trunk'"),
+    ],
+)
+def test_a_model_of_which_there_is_no_twin_is_one_line_that_names_the_robot(robot, spoil, words):
+    class Spoilt(type(robot)):
+        def mjcf(self):
+            root = super().mjcf()
+            spoil(root)
+            return root
+
+    with pytest.raises(HtsError, match=f"^Robot 'go1'.*{words}"):
+        build(Spoilt(robot.settings), PLAIN)
 
 
 def test_the_twin_weighs_what_its_parameters_say(robot):

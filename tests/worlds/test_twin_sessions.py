@@ -18,7 +18,7 @@ from witness import Witness
 
 from hts import plugins
 from hts.contracts import WorldContext
-from hts.errors import PolicyError, WorldError
+from hts.errors import PluginError, PolicyError, WorldError
 from hts.worlds.base import request_id, seed_sequence, walking
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.programme import Block, Session, head_to_head
@@ -202,6 +202,13 @@ def test_a_twin_that_dies_is_one_line(twin):
     ) as error:
         twin.idle()
     assert "\n" not in str(error.value)
+    assert "stderr" not in str(error.value)  # it said nothing, so that file is taken away
+
+
+def test_what_nobody_foresaw_in_the_twins_process_is_one_line_and_its_traceback_a_note(twin):
+    with pytest.raises(PluginError, match=r"^The twin failed, KeyError: 'sessions'") as error:
+        twin._staff(1)[0].ask({"do": "run"})
+    assert "process.py" in error.value.__notes__[0]
 
 
 def test_a_killed_run_leaves_no_twin_behind(tmp_path):

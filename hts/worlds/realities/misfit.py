@@ -16,7 +16,7 @@ from hts.contracts import Instrument, Robot
 from hts.errors import HtsError
 from hts.recordings.recording import Recording
 from hts.worlds.base import request_id, seed_sequence
-from hts.worlds.realities.check import COLD_SESSIONS, Stage, standing, walked
+from hts.worlds.realities.check import COLD_SESSIONS, OF_THE_ROBOT, Stage, standing, walked
 from hts.worlds.realities.like import Figure, Likeness, facts_of, idle_measured, shown_by
 from hts.worlds.realities.sampler import Found
 from hts.worlds.twin.instruments import Unread
@@ -55,6 +55,8 @@ def misfit(
             if fallen:
                 return Found(math.inf, shown, fallen)
             distance = max(distance, _distance(like.figures, values))
+    except OF_THE_ROBOT:
+        raise
     except (HtsError, FloatingPointError) as error:  # such as motors that warm up without end
         return Found(math.inf, shown, str(error))
     return Found(distance if distance <= bound else math.inf, shown, _worst(like.figures, shown))

@@ -72,7 +72,9 @@ class Child:
             if "done" in answer:
                 return answer["done"]
             if "error" in answer:
-                raise BY_NAME.get(answer["kind"], WorldError)(answer["error"])
+                error = BY_NAME.get(answer["kind"], WorldError)(answer["error"])
+                error.add_note(answer["trace"])  # seen with HTS_DEBUG=1
+                raise error
             if progress is not None:
                 progress(answer["progress"])
         raise self._ended()
@@ -91,14 +93,14 @@ class Child:
         """One line about a process that ended by itself, with the end of what it said."""
         code = self._process.wait()
         text = self._log_path.read_text(encoding="utf-8", errors="replace")
-        said = " | ".join([line.strip() for line in text.splitlines() if line.strip()][-TAIL_LINES:]) or "nothing"
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
+        said = " | ".join(lines[-TAIL_LINES:]) or "nothing"
+        if len(lines) > TAIL_LINES:
+            said += f" (all of it in {self._log_path})"
         how = f"by signal {-code}" if code < 0 else f"with exit code {code}"
         if -code == signal.SIGKILL:
             how += " (which the system sends to what takes more memory than there is)"
-        return WorldError(
-            f"The twin's process ended {how}; it said: {said} (all of it in {self._log_path}). `hts resume` tries "
-            "again."
-        )
+        return WorldError(f"The twin's process ended {how}; it said: {said}.")
 
 
 def _close(pipe: IO[str]) -> None:

@@ -9,7 +9,10 @@ import mujoco
 import numpy as np
 
 from hts.contracts import Robot, RobotSpec
-from hts.errors import UnfitWorldError
+from hts.errors import ConfigError, UnfitWorldError
+from hts.guarded import guarded
+from hts.sim.conventions import missing, without_free_trunk
+from hts.sim.models import compile_model
 from hts.worlds.twin.ground import bumpy_floor, heights
 from hts.worlds.twin.parameters import DynamicsParameters
 from hts.worlds.twin.structure import BodyStructure
@@ -62,14 +65,18 @@ def by_gearing(spec: RobotSpec, plain: float, extra_stage: float) -> np.ndarray:
 
 
 def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
-    """Compile the twin of a robot. Raises UnfitWorldError for a robot that has no model."""
-    root = robot.mjcf()
+    """Compile the twin of a robot. Raises UnfitWorldError for a robot that has no model, ConfigError or PluginError for
+    a model that cannot be compiled or lacks what its spec names."""
     spec = robot.spec
+    root = guarded(f"Robot '{spec.name}': mjcf()", robot.mjcf)
     if root is None:
         raise UnfitWorldError(
             f"Robot '{spec.name}' has no model (it is log-only, or brings an env of its own), so there is no twin of "
             "it. Start a run in another world: --world field, or one of a plugin's."
         )
+    nominal = compile_model(robot)
+    if fault := missing(nominal, spec, velocity_task=False) or without_free_trunk(nominal, spec):
+        raise ConfigError(f"Robot '{spec.name}': {fault}")
     machine_rng = np.random.default_rng([parameters.machine, 1])
     friction = by_gearing(spec, parameters.joint_friction, parameters.joint_friction_extra_stage)
     friction = friction * (1 + parameters.friction_spread * machine_rng.uniform(-1, 1, spec.num_joints))

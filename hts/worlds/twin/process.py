@@ -12,7 +12,8 @@ Then any of
     {"do": "check"}                                                     compile the machine, read its instruments
     {"do": "run", "sessions": [...], "request": "hex", "group": 0}      sessions as in programme.py
 
-Answers: {"progress": 0.25} any number of times, then {"done": ...} or {"error": "one line", "kind": "WorldError"}.
+Answers: {"progress": 0.25} any number of times, then {"done": ...} or
+{"error": "one line", "kind": "WorldError", "trace": "Traceback ..."}.
 The process ends when stdin does, even in the midst of work, so a killed parent leaves nothing running.
 """
 
@@ -25,12 +26,15 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
 from hts.contracts import FollowVelocity
 from hts.errors import HtsError, UnfitWorldError
+from hts.guarded import guarded
 from hts.worlds.base import seed_sequence
 from hts.worlds.twin.parameters import TwinSettings, resolved_settings
 from hts.worlds.twin.programme import Session
@@ -56,6 +60,14 @@ class Twin:
         }
         self._make = maker(registry, self.robot, start["objectives"], self.settings)
         self.spool = RecordingStore(Path(start["spool"]), create=True)
+
+    def do(self, request: dict[str, Any], progress: Callable[[float], None]) -> Any:
+        """What is answered to a request."""
+        if request["do"] == "idle":
+            return self.idle()
+        if request["do"] == "check":
+            return self.check()
+        return self.run(request, progress)
 
     def idle(self) -> dict[str, float]:
         """Idle level of each real channel."""
@@ -148,16 +160,12 @@ def main() -> None:
         request = json.loads(listen())
         try:
             if twin is None:
-                twin = Twin(request)
+                twin = guarded("The twin", partial(Twin, request))
                 answer({"done": "ready"})
-            elif request["do"] == "idle":
-                answer({"done": twin.idle()})
-            elif request["do"] == "check":
-                answer({"done": twin.check()})
             else:
-                answer({"done": twin.run(request, progress)})
+                answer({"done": guarded("The twin", partial(twin.do, request, progress))})
         except HtsError as error:
-            answer({"error": str(error), "kind": type(error).__name__})
+            answer({"error": str(error), "kind": type(error).__name__, "trace": traceback.format_exc()})
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from importlib import resources
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +65,8 @@ def known_names() -> dict[str, Path]:
     found: dict[str, Path] = {}
     packages = {entry.factory.__module__.partition(".")[0] for entry in plugins.load().robots.values()}
     for package in sorted(packages):
-        folder = Path(str(resources.files(package))) / FOLDER
-        found |= {path.stem: path for path in sorted(folder.glob("*" + SUFFIX))}
+        for place in vars(import_module(package)).get("__path__", ()):  # a module that is no package has none
+            found |= {path.stem: path for path in sorted((Path(place) / FOLDER).glob("*" + SUFFIX))}
     return found
 
 
