@@ -13,6 +13,7 @@ from hts.errors import EvaluationError
 from hts.evaluation import final as judging
 from hts.evaluation.held import NotComparable
 from hts.report.outcome import closing, finals_before
+from hts.run import finals
 from hts.run.finals import Tried
 from hts.testing.known_world import KnownWorld
 from hts.worlds.base import file_hash
