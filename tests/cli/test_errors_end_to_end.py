@@ -224,15 +224,15 @@ def test_a_policy_of_another_robot_is_refused(fails, broken_kit_run):
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_a_full_disk_stops_a_run_with_one_line_and_loses_nothing(small_run, on_a_disk, tmp_path):
-    tested = " ".join(json.loads((small_run.folder / "iterations/00/test.json").read_text())["recordings"])
+def test_a_full_disk_stops_a_run_with_one_line_and_loses_nothing(kit_run, hts_kit, on_a_disk, tmp_path):
+    tested = " ".join(json.loads((kit_run.folder / "iterations/00/test.json").read_text())["recordings"])
     script = f"""
-cp -r "{small_run.folder}" "$DISK/run"
+cp -r "{kit_run.folder}" "$DISK/run"
 for id in {tested}; do rm -r "$DISK/run/data.zarr/$id"; done
 cd "$DISK/run" && \
 rm -r iterations/00/finetune.json iterations/00/candidates iterations/00/test.json final.json summary.json
 used=$(du -sk "$DISK" | cut -f1)
-mount -o remount,size=$((used + 100))k "$DISK"
+mount -o remount,size=$((used + 8))k "$DISK"
 hts resume "$DISK/run" > "$OUT/first.out" 2> "$OUT/first.err"; echo $? > "$OUT/first.code"
 mount -o remount,size=100m "$DISK"
 hts resume "$DISK/run" > "$OUT/second.out" 2> "$OUT/second.err"; echo $? > "$OUT/second.code"
@@ -246,7 +246,7 @@ cp "$DISK/run/summary.json" "$OUT/summary.json"
     assert "full" in first and "resume" in first
     assert (tmp_path / "second.code").read_text().strip() == "0", (tmp_path / "second.err").read_text()
     assert (tmp_path / "validate.code").read_text().strip() == "0", (tmp_path / "validate.out").read_text()
-    assert small_run.summary_of(tmp_path) == small_run.summary_of()
+    assert kit_run.summary_of(tmp_path) == kit_run.summary_of()
 
 
 def test_a_read_only_disk_ends_in_one_line(on_a_disk, tmp_path):
@@ -262,9 +262,9 @@ hts run --objective power --robot go1 --preset smoke --out "$DISK/new" > "$OUT/o
     assert line.startswith(f"error: {tmp_path}/disk/new: the file system is read-only. Choose a place")
 
 
-def test_a_finished_run_on_a_read_only_disk_is_read(on_a_disk, small_run, tmp_path):
+def test_a_finished_run_on_a_read_only_disk_is_read(on_a_disk, kit_run, hts_kit, tmp_path):
     script = f"""
-cp -r "{small_run.folder}" "$DISK/run"; rm "$DISK/run/.lock"
+cp -r "{kit_run.folder}" "$DISK/run"; rm "$DISK/run/.lock"
 cp -r "$DISK/run" "$DISK/other"; rm "$DISK/other/final.json"
 cp -r "$DISK/run" "$DISK/begun"; rm "$DISK/begun/summary.json"
 mount -o remount,ro "$DISK"
