@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import importlib
 import json
 import os
@@ -22,7 +23,7 @@ from hts.cli.main import main
 from hts.testing.packages import on_path, write_package
 
 sys.path.insert(0, str(Path(__file__).parent))
-from quick_figures import quick_figures  # noqa: F401 - a fixture of all tests
+from quick_figures import drawn_quickly, quick_figures  # noqa: F401 - a fixture of all tests
 
 # The same examples everywhere: what a search finds is for the one who searches, not for whoever runs the tests next.
 settings.register_profile("same", derandomize=True, database=None)
@@ -60,6 +61,17 @@ def install(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monkey
 
     with forgotten([folder]):
         yield install
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """What is imported and collected stays to the end: looking through it for garbage is half of the collecting."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -133,6 +145,25 @@ def small_run(tmp_path_factory: pytest.TempPathFactory) -> SmallRun:
 def broken_run(small_run: SmallRun, tmp_path: Path) -> Path:
     """A copy of the small run, to be broken."""
     return Path(shutil.copytree(small_run.folder, tmp_path / "run"))
+
+
+@pytest.fixture(scope="session")
+def kit_run(tmp_path_factory: pytest.TempPathFactory) -> SmallRun:
+    """A run with the kit's plugins, whose world answers at once: for tests of what happens in any world. Nobody may
+    write into its folder."""
+    from hts.testing.packages import kit_installed
+    from hts.testing.tiny_run import tiny_run
+
+    folder = tmp_path_factory.mktemp("kit") / "run"
+    with kit_installed(), drawn_quickly():
+        tiny_run(folder, settings={"sweep.kl_bounds": [0.5, 2.0], "finetune.steps": 144})
+    return SmallRun(folder, ())
+
+
+@pytest.fixture
+def broken_kit_run(kit_run: SmallRun, hts_kit: None, tmp_path: Path) -> Path:
+    """A copy of it, to be broken; the kit's plugins are there."""
+    return Path(shutil.copytree(kit_run.folder, tmp_path / "run"))
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ the work of a report, which is a third of a small run.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,10 +27,16 @@ def saved_quickly(drawing: Figure, folder: Path, name: str) -> Path:
     return folder / f"{name}.svg"
 
 
+@contextmanager
+def drawn_quickly() -> Iterator[None]:
+    """Figures of reports that this process makes meanwhile."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "save", saved_quickly)
+        yield
+
+
 @pytest.fixture(autouse=True, scope="module")
 def quick_figures(request: pytest.FixtureRequest) -> Iterator[None]:
     """In tests of the report, and in processes of their own, figures are drawn as users get them."""
-    with pytest.MonkeyPatch.context() as patch:
-        if request.path.parent.name != "report":
-            patch.setattr(style, "save", saved_quickly)
+    with nullcontext() if request.path.parent.name == "report" else drawn_quickly():
         yield

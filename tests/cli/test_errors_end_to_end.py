@@ -96,87 +96,88 @@ def test_a_bad_command_is_one_line_in_a_real_process_too(hts, tmp_path):
 class TestDamage:
     """Each: the run stops with one line; what the line says is done; resuming then gives the undisturbed result."""
 
-    def resumed(self, small_run, folder: Path) -> None:
+    def resumed(self, kit_run, folder: Path) -> None:
         assert main(["resume", str(folder)]) == 0
-        assert small_run.summary_of(folder) == small_run.summary_of()
+        assert kit_run.summary_of(folder) == kit_run.summary_of()
 
-    def test_a_configuration_that_was_cut_off(self, fails, broken_run):
-        (broken_run / "config.yaml").write_text("preset: [smoke\n")
-        assert f"{broken_run}/config.yaml" in fails("resume", broken_run)
+    def test_a_configuration_that_was_cut_off(self, fails, broken_kit_run):
+        (broken_kit_run / "config.yaml").write_text("preset: [smoke\n")
+        assert f"{broken_kit_run}/config.yaml" in fails("resume", broken_kit_run)
 
-    def test_the_result_of_a_stage(self, fails, small_run, broken_run):
-        forget(broken_run)
-        truncate(broken_run / "iterations/00/simulate.json")
-        line = fails("resume", broken_run)
-        assert f"{broken_run}/iterations/00/simulate.json: damaged" in line and "Delete it and resume" in line
-        (broken_run / "iterations/00/simulate.json").unlink()
-        self.resumed(small_run, broken_run)
+    def test_the_result_of_a_stage(self, fails, kit_run, broken_kit_run):
+        forget(broken_kit_run)
+        truncate(broken_kit_run / "iterations/00/simulate.json")
+        line = fails("resume", broken_kit_run)
+        assert f"{broken_kit_run}/iterations/00/simulate.json: damaged" in line and "Delete it and resume" in line
+        (broken_kit_run / "iterations/00/simulate.json").unlink()
+        self.resumed(kit_run, broken_kit_run)
 
-    def test_a_recording(self, fails, small_run, broken_run):
-        forget(broken_run, "iterations/00/fit")
-        name = json.loads((broken_run / "collect.json").read_text())["recordings"][0]
-        chunk = max((broken_run / "data.zarr" / name / "joint_torque").rglob("*"), key=lambda file: file.stat().st_size)
+    def test_a_recording(self, fails, kit_run, broken_kit_run):
+        forget(broken_kit_run, "iterations/00/fit")
+        name = json.loads((broken_kit_run / "collect.json").read_text())["recordings"][0]
+        files = (broken_kit_run / "data.zarr" / name / "joint_torque").rglob("*")
+        chunk = max(filter(Path.is_file, files), key=lambda file: file.stat().st_size)
         data = bytearray(chunk.read_bytes())
         data[len(data) // 2] ^= 1
         chunk.write_bytes(data)
-        line = fails("resume", broken_run)
-        assert f"{broken_run}/data.zarr/{name}/joint_torque: damaged" in line and "expected" in line
-        assert f"Delete the folder {broken_run}/data.zarr/{name}" in line
-        assert f"delete {broken_run}/collect.json too, and `hts resume {broken_run}`" in line
-        shutil.rmtree(broken_run / "data.zarr" / name)
-        (broken_run / "collect.json").unlink()
-        self.resumed(small_run, broken_run)
+        line = fails("resume", broken_kit_run)
+        assert f"{broken_kit_run}/data.zarr/{name}/joint_torque: damaged" in line and "expected" in line
+        assert f"Delete the folder {broken_kit_run}/data.zarr/{name}" in line
+        assert f"delete {broken_kit_run}/collect.json too, and `hts resume {broken_kit_run}`" in line
+        shutil.rmtree(broken_kit_run / "data.zarr" / name)
+        (broken_kit_run / "collect.json").unlink()
+        self.resumed(kit_run, broken_kit_run)
 
-    def test_the_store(self, fails, small_run, broken_run):
-        forget(broken_run, "iterations/00/fit")
-        truncate(broken_run / "data.zarr/zarr.json")
-        line = fails("resume", broken_run)
-        assert f"{broken_run}/data.zarr/zarr.json: damaged" in line and "delete the file" in line
-        (broken_run / "data.zarr/zarr.json").unlink()
-        self.resumed(small_run, broken_run)
+    def test_the_store(self, fails, kit_run, broken_kit_run):
+        forget(broken_kit_run, "iterations/00/fit")
+        truncate(broken_kit_run / "data.zarr/zarr.json")
+        line = fails("resume", broken_kit_run)
+        assert f"{broken_kit_run}/data.zarr/zarr.json: damaged" in line and "delete the file" in line
+        (broken_kit_run / "data.zarr/zarr.json").unlink()
+        self.resumed(kit_run, broken_kit_run)
 
     @pytest.mark.parametrize("suffix", [".safetensors", ".json"])
-    def test_a_policy(self, fails, small_run, broken_run, suffix):
-        forget(broken_run, "iterations/00/simulate")
-        truncate(broken_run / f"iterations/00/candidates/00-01{suffix}")
-        line = fails("resume", broken_run)
-        assert f"{broken_run}/iterations/00/candidates/00-01{suffix}: not a" in line
-        assert f"delete {broken_run}/iterations/00/finetune.json and `hts resume {broken_run}`" in line
-        (broken_run / "iterations/00/finetune.json").unlink()
-        self.resumed(small_run, broken_run)
+    def test_a_policy(self, fails, kit_run, broken_kit_run, suffix):
+        forget(broken_kit_run, "iterations/00/simulate")
+        truncate(broken_kit_run / f"iterations/00/candidates/00-01{suffix}")
+        line = fails("resume", broken_kit_run)
+        assert f"{broken_kit_run}/iterations/00/candidates/00-01{suffix}: not a" in line
+        assert f"delete {broken_kit_run}/iterations/00/finetune.json and `hts resume {broken_kit_run}`" in line
+        (broken_kit_run / "iterations/00/finetune.json").unlink()
+        self.resumed(kit_run, broken_kit_run)
 
-    def test_the_pretrained_policy(self, fails, small_run, broken_run):
-        forget(broken_run, "iterations/00/simulate")
-        truncate(broken_run / "policies/pretrained.safetensors")
-        line = fails("resume", broken_run)
-        assert f"delete {broken_run}/policies/pretrained.safetensors and `hts resume {broken_run}`" in line
-        (broken_run / "policies/pretrained.safetensors").unlink()
-        self.resumed(small_run, broken_run)
+    def test_the_pretrained_policy(self, fails, kit_run, broken_kit_run):
+        forget(broken_kit_run, "iterations/00/simulate")
+        truncate(broken_kit_run / "policies/pretrained.safetensors")
+        line = fails("resume", broken_kit_run)
+        assert f"delete {broken_kit_run}/policies/pretrained.safetensors and `hts resume {broken_kit_run}`" in line
+        (broken_kit_run / "policies/pretrained.safetensors").unlink()
+        self.resumed(kit_run, broken_kit_run)
 
-    def test_an_exported_policy(self, fails, small_run, broken_run):
-        forget(broken_run, "iterations/00/test")
-        truncate(broken_run / "policies/pretrained.onnx")
-        line = fails("resume", broken_run)
+    def test_an_exported_policy(self, fails, kit_run, broken_kit_run):
+        forget(broken_kit_run, "iterations/00/test")
+        truncate(broken_kit_run / "policies/pretrained.onnx")
+        line = fails("resume", broken_kit_run)
         assert "policies/pretrained.onnx: damaged, or of another policy (not a whole ONNX file" in line
-        (broken_run / "policies/pretrained.onnx").unlink()
-        self.resumed(small_run, broken_run)
+        (broken_kit_run / "policies/pretrained.onnx").unlink()
+        self.resumed(kit_run, broken_kit_run)
 
     @pytest.mark.parametrize("stage", ["finetune", "simulate", "test"])
-    def test_a_measurement_model(self, fails, small_run, broken_run, stage):
-        forget(broken_run, f"iterations/00/{stage}", "final")
-        truncate(broken_run / "iterations/00/models/power.safetensors")
-        line = fails("resume", broken_run)
-        assert f"{broken_run}/iterations/00/models/power.safetensors: its" in line
-        assert f"delete {broken_run}/iterations/00/fit.json and `hts resume {broken_run}` fits it anew." in line
-        (broken_run / "iterations/00/fit.json").unlink()
-        self.resumed(small_run, broken_run)
+    def test_a_measurement_model(self, fails, kit_run, broken_kit_run, stage):
+        forget(broken_kit_run, f"iterations/00/{stage}", "final")
+        truncate(broken_kit_run / "iterations/00/models/fake.safetensors")
+        line = fails("resume", broken_kit_run)
+        assert f"{broken_kit_run}/iterations/00/models/fake.safetensors: its" in line
+        assert f"delete {broken_kit_run}/iterations/00/fit.json and `hts resume {broken_kit_run}` fits it anew." in line
+        (broken_kit_run / "iterations/00/fit.json").unlink()
+        self.resumed(kit_run, broken_kit_run)
 
     @pytest.fixture
-    def stopped(self, broken_run, monkeypatch) -> Path:
+    def stopped(self, broken_kit_run, monkeypatch) -> Path:
         """A run that was stopped in the middle of fine-tuning and left a checkpoint."""
         from hts.training import finetune
 
-        forget(broken_run, "iterations/00/finetune")
+        forget(broken_kit_run, "iterations/00/finetune")
 
         def save_and_stop(*arguments, really=finetune.save_checkpoint):
             really(*arguments)
@@ -185,35 +186,37 @@ class TestDamage:
         with monkeypatch.context() as patch:
             patch.setattr(finetune, "CHECKPOINT_SECONDS", 0.0)
             patch.setattr(finetune, "save_checkpoint", save_and_stop)
-            assert main(["resume", str(broken_run)]) == 130
-        return broken_run
+            assert main(["resume", str(broken_kit_run)]) == 130
+        return broken_kit_run
 
-    def test_a_checkpoint(self, fails, small_run, stopped):
+    def test_a_checkpoint(self, fails, kit_run, stopped):
         place = stopped / "iterations/00/checkpoint-0"
         truncate(place)
         line = fails("resume", stopped)
         assert f"{place}: not a whole checkpoint" in line and "Delete it and resume" in line
         place.unlink()
-        self.resumed(small_run, stopped)
+        self.resumed(kit_run, stopped)
 
-    def test_a_checkpoint_of_another_robot(self, fails, small_run, stopped):
+    def test_a_checkpoint_of_another_robot(self, fails, kit_run, stopped):
         from hts.training.checkpoint import save_checkpoint
 
         place = stopped / "iterations/00/checkpoint-0"
         save_checkpoint(place, {"numbers": torch.zeros(3)}, {"robot": "hopper", "key": "k", "worlds": 4})
         line = fails("resume", stopped)
-        assert f"{place}: a checkpoint of robot 'hopper', this run has 'go1'" in line and "Delete it and resume" in line
+        assert (
+            f"{place}: a checkpoint of robot 'hopper', this run has 'tiny'" in line and "Delete it and resume" in line
+        )
         place.unlink()
-        self.resumed(small_run, stopped)
+        self.resumed(kit_run, stopped)
 
 
 @pytest.mark.slow
-def test_a_policy_of_another_robot_is_refused(fails, broken_run):
-    forget(broken_run, "iterations/00/simulate")
-    card = broken_run / "iterations/00/candidates/00-01.json"
-    card.write_text(card.read_text().replace('"robot": "go1"', '"robot": "hopper"'))
-    line = fails("resume", broken_run)
-    assert "made for robot hopper, robot 'go1' has go1" in line
+def test_a_policy_of_another_robot_is_refused(fails, broken_kit_run):
+    forget(broken_kit_run, "iterations/00/simulate")
+    card = broken_kit_run / "iterations/00/candidates/00-01.json"
+    card.write_text(card.read_text().replace('"robot": "tiny"', '"robot": "hopper"'))
+    line = fails("resume", broken_kit_run)
+    assert "made for robot hopper, robot 'tiny' has tiny" in line
 
 
 # ------------------------------------------------------------------------------------------------------ disks
@@ -221,15 +224,15 @@ def test_a_policy_of_another_robot_is_refused(fails, broken_run):
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_a_full_disk_stops_a_run_with_one_line_and_loses_nothing(small_run, on_a_disk, tmp_path):
-    tested = " ".join(json.loads((small_run.folder / "iterations/00/test.json").read_text())["recordings"])
+def test_a_full_disk_stops_a_run_with_one_line_and_loses_nothing(kit_run, hts_kit, on_a_disk, tmp_path):
+    tested = " ".join(json.loads((kit_run.folder / "iterations/00/test.json").read_text())["recordings"])
     script = f"""
-cp -r "{small_run.folder}" "$DISK/run"
+cp -r "{kit_run.folder}" "$DISK/run"
 for id in {tested}; do rm -r "$DISK/run/data.zarr/$id"; done
 cd "$DISK/run" && \
 rm -r iterations/00/finetune.json iterations/00/candidates iterations/00/test.json final.json summary.json
 used=$(du -sk "$DISK" | cut -f1)
-mount -o remount,size=$((used + 100))k "$DISK"
+mount -o remount,size=$((used + 8))k "$DISK"
 hts resume "$DISK/run" > "$OUT/first.out" 2> "$OUT/first.err"; echo $? > "$OUT/first.code"
 mount -o remount,size=100m "$DISK"
 hts resume "$DISK/run" > "$OUT/second.out" 2> "$OUT/second.err"; echo $? > "$OUT/second.code"
@@ -243,7 +246,7 @@ cp "$DISK/run/summary.json" "$OUT/summary.json"
     assert "full" in first and "resume" in first
     assert (tmp_path / "second.code").read_text().strip() == "0", (tmp_path / "second.err").read_text()
     assert (tmp_path / "validate.code").read_text().strip() == "0", (tmp_path / "validate.out").read_text()
-    assert small_run.summary_of(tmp_path) == small_run.summary_of()
+    assert kit_run.summary_of(tmp_path) == kit_run.summary_of()
 
 
 def test_a_read_only_disk_ends_in_one_line(on_a_disk, tmp_path):
@@ -259,9 +262,9 @@ hts run --objective power --robot go1 --preset smoke --out "$DISK/new" > "$OUT/o
     assert line.startswith(f"error: {tmp_path}/disk/new: the file system is read-only. Choose a place")
 
 
-def test_a_finished_run_on_a_read_only_disk_is_read(on_a_disk, small_run, tmp_path):
+def test_a_finished_run_on_a_read_only_disk_is_read(on_a_disk, kit_run, hts_kit, tmp_path):
     script = f"""
-cp -r "{small_run.folder}" "$DISK/run"; rm "$DISK/run/.lock"
+cp -r "{kit_run.folder}" "$DISK/run"; rm "$DISK/run/.lock"
 cp -r "$DISK/run" "$DISK/other"; rm "$DISK/other/final.json"
 cp -r "$DISK/run" "$DISK/begun"; rm "$DISK/begun/summary.json"
 mount -o remount,ro "$DISK"

@@ -3,7 +3,7 @@
 A page is followed from top to bottom in an empty folder of its own, in an environment that sees everything that is
 installed here and that may install more without leaving anything behind:
 
-    ```python                   is run as a program
+    ```python                   is run as a program; those that follow each other in one process, which loads torch once
     ```python title="FILE"      is written to FILE, as are toml and yaml blocks with a title, and imported if it is a
                                 module
     ```console                  lines that begin with "$ " are typed; the others are what must be seen: a line "..."
@@ -16,11 +16,13 @@ installed here and that may install more without leaving anything behind:
 from __future__ import annotations
 
 import ast
+import json
 import os
 import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -141,20 +143,19 @@ class Reader:
             "NO_COLOR": "1",
         }
 
-    def follow(self, block: Block) -> None:
-        """Do what a block says. Fails with what went wrong."""
+    def follow(self, *group: Block) -> None:
+        """Do what a block says, or several of Python. Fails with what went wrong."""
+        block = group[0]
         if block.language == "console":
             typed = commands(block.text)
             for number, (command, shown) in enumerate(typed):
                 self._type(command, shown, block.status if number == len(typed) - 1 else 0)
-        elif block.title:
+        elif block.language == "python":
+            self._python(group)
+        else:
             file = self.folder / block.title
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(block.text, encoding="utf-8")
-            if block.language == "python" and "/" not in block.title:
-                self._python(f"import {file.stem}")
-        else:
-            self._python(block.text)
 
     def _type(self, command: str, shown: str, status: int) -> None:
         remember = self.folder.parent / "here"
@@ -175,19 +176,51 @@ class Reader:
         assert matches(shown, done.stdout), f"the page shows\n{shown}\nbut there is\n{said}"
         self.here = Path(remember.read_text().strip())
 
-    def _python(self, code: str) -> None:
+    def _python(self, group: Sequence[Block]) -> None:
         python = str(self.folder.parent / "environment/bin/python")
         done = subprocess.run(
-            [python, "-W", "error", "-W", "ignore::DeprecationWarning", "-c", code],
+            [python, "-W", "error", "-W", "ignore::DeprecationWarning", "-c", PROGRAMS],
+            input=json.dumps([(f"line {block.line}", block.title, block.text) for block in group]),
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
             cwd=self.folder,
             env=self.environment,
-            timeout=120,
+            timeout=240,
             check=False,
         )
-        assert done.returncode == 0, f"{code}\n{done.stdout}"
+        assert done.returncode == 0, done.stdout
+
+
+PROGRAMS = """
+import importlib, json, sys, types
+from pathlib import Path
+
+for place, title, code in json.load(sys.stdin):
+    if title:
+        file = Path(title)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(code, encoding="utf-8")
+        importlib.invalidate_caches()
+        code = "" if "/" in title else f"import {file.stem}"
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    exec(compile(code, place, "exec"), vars(sys.modules["__main__"]))
+"""
+"""Blocks of Python one after the other, each a program of its own."""
+
+
+def groups(text: str) -> list[list[Block]]:
+    """Blocks that are run here; of Python, those that follow each other together, but no file that comes anew."""
+    result: list[list[Block]] = []
+    for block in blocks(text):
+        if not block.runs or block.elsewhere:
+            continue
+        before = result[-1] if result and result[-1][0].language == block.language == "python" else []
+        if before and not (block.title and block.title in {one.title for one in before}):
+            before.append(block)
+        else:
+            result.append([block])
+    return result
 
 
 def has_examples(page: Path) -> bool:
@@ -200,12 +233,11 @@ def has_examples(page: Path) -> bool:
 @pytest.mark.parametrize("page", [page for page in PAGES[1:] if has_examples(page)], ids=lambda page: page.stem)
 def test_following_a_page_gives_what_it_shows(page, tmp_path):
     reader = Reader(tmp_path)
-    for block in blocks(page.read_text()):
-        if block.runs and not block.elsewhere:
-            try:
-                reader.follow(block)
-            except AssertionError as error:
-                pytest.fail(f"{page.name}, line {block.line}: {error}", pytrace=False)
+    for group in groups(page.read_text()):
+        try:
+            reader.follow(*group)
+        except AssertionError as error:
+            pytest.fail(f"{page.name}, line {group[0].line}: {error}", pytrace=False)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -247,6 +279,12 @@ def test_blocks_are_found_with_their_file_and_their_remarks():
     assert not plain.runs
 
 
+def test_python_that_follows_python_is_run_with_it_but_a_file_that_comes_anew_is_not():
+    program, file, again = (f"```python{title}\n1\n```\n" for title in ("", ' title="a.py"', ' title="a.py"'))
+    found = groups(program + file + program + again + "```console\n$ true\n```\n" + program)
+    assert [[block.line for block in group] for group in found] == [[1, 4, 7], [10], [13], [16]]
+
+
 def test_commands_are_told_from_what_they_show():
     assert commands("$ a \\\n  b\nshown\n$ c\n") == [("a \\\n  b", "shown\n"), ("c", "")]
     with pytest.raises(ValueError, match="not with a command"):
@@ -279,6 +317,8 @@ def test_python_that_raises_is_noticed(reader):
         reader.follow(Block(1, "python", "", "1 / 0\n", ""))
     with pytest.raises(AssertionError, match="ZeroDivisionError"):
         reader.follow(Block(1, "python", "broken_module.py", "1 / 0\n", ""))
+    with pytest.raises(AssertionError, match='File "line 7", line 1'):
+        reader.follow(Block(1, "python", "", "x = 1\n", ""), Block(7, "python", "", "x\n", ""))
 
 
 def test_the_reader_starts_in_an_empty_folder_and_keeps_its_place(tmp_path):

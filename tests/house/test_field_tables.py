@@ -38,7 +38,7 @@ def modules_with_models() -> list[str]:
             inside = path.relative_to(REPOSITORY / folder)
             if "templates" in inside.parts:
                 continue
-            classes = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ClassDef)]
+            classes = [node for node in ast.parse(path.read_text()).body if isinstance(node, ast.ClassDef)]
             bases = {ast.unparse(base) for one in classes for base in one.bases}
             if any(base.endswith(("BaseModel", "Config", "Settings", "Parameters")) for base in bases):
                 found.append(".".join((package, *inside.with_suffix("").parts)))

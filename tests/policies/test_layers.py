@@ -199,24 +199,24 @@ def test_a_layout_is_yaml_and_its_mistakes_are_named(tmp_path):
 # ----------------------------------------------------------------------------------------- the command and the manual
 
 
-def test_the_command_writes_a_policy_and_nothing_over_another(written, tmp_path, hts):
+def test_the_command_writes_a_policy_and_nothing_over_another(written, tmp_path, hts_here):
     from hts.policies.files import load_policy
     from hts.testing.packages import kit_installed
 
     file = written(a_network())
     with kit_installed():
         bare = ("policy", "import", file, "--robot", "tiny", "--to", tmp_path / "mine.safetensors")
-        guessed = hts(*bare)  # its order, pose and scale are nowhere: never taken for the robot's without a word
+        guessed = hts_here(*bare)  # its order, pose and scale are nowhere: never taken for the robot's without a word
         assert guessed.returncode == 2 and "neither it nor what lies beside it says joint_names" in guessed.stderr
         (tmp_path / "layout.yaml").write_text("rest: robot\ndelay_seconds: 0\n")
         words = (*bare[:3], "--layout", tmp_path / "layout.yaml", *bare[3:])
-        done = hts(*words)
+        done = hts_here(*words)
         assert done.returncode == 0, done.stderr
         assert "15-8-4-2 for robot tiny, 40 actions replayed, off by at most" in done.stdout
         assert load_policy(tmp_path / "mine.safetensors", SPEC).card.made["kind"] == "layers"
-        again = hts(*words)
+        again = hts_here(*words)
         assert again.returncode == 2 and "mine.safetensors: exists already" in again.stderr
-        renamed = hts(*words[:-1], tmp_path / "mine.onnx", "--no-trial")
+        renamed = hts_here(*words[:-1], tmp_path / "mine.onnx", "--no-trial")
         assert renamed.returncode == 2 and "mine.onnx: expected a name that ends in .safetensors" in renamed.stderr
         assert not list(tmp_path.glob("mine.onnx*"))
 

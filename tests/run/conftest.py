@@ -58,7 +58,6 @@ def run_on(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Run]:
 
 
 @pytest.fixture(scope="session")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def finished(kit_run: Any) -> Run:
     """A tiny run with the kit's plugins; nobody may write into its folder."""
-    with kit_installed():
-        return tiny_run(tmp_path_factory.mktemp("finished") / "run")
+    return load(kit_run.folder)

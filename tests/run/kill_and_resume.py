@@ -100,9 +100,15 @@ def damages(folder: Path) -> list[str]:
 
 
 def kill_and_resume(
-    first: Sequence[str | Path], folder: Path, expected: dict[str, Any], moment: Callable[[], bool], log: Path
+    first: Sequence[str | Path],
+    folder: Path,
+    expected: dict[str, Any],
+    moment: Callable[[], bool],
+    log: Path,
+    resume: Callable[[Path], object] | None = None,
 ) -> Trial:
-    """Start `hts *first` on `folder`, kill it when `moment()` is true, resume, compare with `expected`."""
+    """Start `hts *first` on `folder`, kill it when `moment()` is true, resume (where `resume` is given, by that instead
+    of by the command), compare with `expected`."""
     began = time.monotonic()
     process = start(*first, log=log)
     while process.poll() is None and not moment():
@@ -114,7 +120,10 @@ def kill_and_resume(
     trial.wrong += damages(folder)
     begun = (folder / "config.yaml").exists()
     try:
-        finish(*(["resume", folder] if begun else first), log=log)
+        if resume is not None:
+            resume(folder)
+        else:
+            finish(*(["resume", folder] if begun else first), log=log)
     except RuntimeError as error:
         trial.wrong.append(str(error))
         return trial

@@ -54,50 +54,50 @@ def swap(path: Path) -> None:
         ("policies/pretrained", flip, "its constant 'weight"),
     ],
 )
-def test_another_policy_does_not_walk_and_what_is_said_mends_it(small_run, broken_run, which, harm, said):
-    path = broken_run / f"{tried(broken_run) if which == 'elite' else which}.onnx"
+def test_another_policy_does_not_walk_and_what_is_said_mends_it(kit_run, broken_kit_run, which, harm, said):
+    path = broken_kit_run / f"{tried(broken_kit_run) if which == 'elite' else which}.onnx"
     whole = path.read_bytes()
-    forget(broken_run, "iterations/00/test")
+    forget(broken_kit_run, "iterations/00/test")
     harm(path)
     with pytest.raises(PolicyError) as caught:
-        api.resume(broken_run)
+        api.resume(broken_kit_run)
     line = str(caught.value)
     assert line.startswith(f"{path}: damaged, or of another policy ({said}") and "\n" not in line
-    assert line.endswith(f"Delete it and `hts resume {broken_run}` writes it again.")
+    assert line.endswith(f"Delete it and `hts resume {broken_kit_run}` writes it again.")
     path.unlink()
-    api.resume(broken_run)
+    api.resume(broken_kit_run)
     assert path.read_bytes() == whole
-    assert small_run.summary_of(broken_run) == small_run.summary_of()
+    assert kit_run.summary_of(broken_kit_run) == kit_run.summary_of()
 
 
 @pytest.mark.parametrize("stage", ["collect", "final"])
-def test_the_reference_of_first_data_and_of_the_final_is_looked_at_too(broken_run, stage):
-    forget(broken_run, *(["collect"] if stage == "collect" else []))
-    flip(broken_run / "policies/pretrained.onnx")
+def test_the_reference_of_first_data_and_of_the_final_is_looked_at_too(broken_kit_run, stage):
+    forget(broken_kit_run, *(["collect"] if stage == "collect" else []))
+    flip(broken_kit_run / "policies/pretrained.onnx")
     with pytest.raises(PolicyError, match=r"pretrained\.onnx: damaged, or of another policy"):
-        api.resume(broken_run)
+        api.resume(broken_kit_run)
 
 
-def test_a_missing_file_is_written_again_and_said(small_run, broken_run, capsys):
-    path = broken_run / f"{tried(broken_run)}.onnx"
+def test_a_missing_file_is_written_again_and_said(kit_run, broken_kit_run, capsys):
+    path = broken_kit_run / f"{tried(broken_kit_run)}.onnx"
     whole = path.read_bytes()
-    forget(broken_run, "iterations/00/test")
+    forget(broken_kit_run, "iterations/00/test")
     path.unlink()
-    api.resume(broken_run)
+    api.resume(broken_kit_run)
     assert f"{path}: is missing, so it is written again from {path.stem}.safetensors." in capsys.readouterr().out
     assert path.read_bytes() == whole
-    assert small_run.summary_of(broken_run) == small_run.summary_of()
+    assert kit_run.summary_of(broken_kit_run) == kit_run.summary_of()
 
 
 @pytest.mark.parametrize("content", ["{", "[]", "{}", None])
-def test_the_note_of_the_best_is_what_the_gate_found_whatever_became_of_the_candidates(broken_run, content):
-    path, note = broken_run / f"{tried(broken_run)}.gate.json", broken_run / "policies/best.gate.json"
+def test_the_note_of_the_best_is_what_the_gate_found_whatever_became_of_the_candidates(broken_kit_run, content):
+    path, note = broken_kit_run / f"{tried(broken_kit_run)}.gate.json", broken_kit_run / "policies/best.gate.json"
     whole = note.read_bytes()
     assert whole == path.read_bytes()
-    forget(broken_run)
+    forget(broken_kit_run)
     note.unlink()
     path.unlink() if content is None else path.write_text(content)
-    api.resume(broken_run)
+    api.resume(broken_kit_run)
     assert note.read_bytes() == whole
 
 
@@ -107,8 +107,8 @@ def rewritten(path: Path, change) -> None:
     path.write_bytes(model.SerializeToString())
 
 
-def test_what_an_earlier_version_wrote_of_a_policy_is_that_policy(broken_run):
-    path, policy = broken_run / f"{CANDIDATE}.onnx", load_policy(broken_run / CANDIDATE)
+def test_what_an_earlier_version_wrote_of_a_policy_is_that_policy(broken_kit_run):
+    path, policy = broken_kit_run / f"{CANDIDATE}.onnx", load_policy(broken_kit_run / CANDIDATE)
 
     def fewer(model):
         card = next(entry.value for entry in model.metadata_props if entry.key == "hts")
@@ -126,14 +126,14 @@ def test_what_an_earlier_version_wrote_of_a_policy_is_that_policy(broken_run):
         (lambda policy: {"policy_hash": "0" * 64}, "it holds policy 000000000000"),
     ],
 )
-def test_another_card_is_another_policy(broken_run, change, said):
-    policy = load_policy(broken_run / CANDIDATE)
-    path = to_onnx(Policy(policy.tensors, replace(policy.card, **change(policy))), broken_run / f"{CANDIDATE}.onnx")
+def test_another_card_is_another_policy(broken_kit_run, change, said):
+    policy = load_policy(broken_kit_run / CANDIDATE)
+    path = to_onnx(Policy(policy.tensors, replace(policy.card, **change(policy))), broken_kit_run / f"{CANDIDATE}.onnx")
     assert what_differs(path, policy) == said
 
 
-def test_other_metadata_are_another_policy_but_for_what_is_computed_when_exporting(broken_run):
-    path, policy = broken_run / f"{CANDIDATE}.onnx", load_policy(broken_run / CANDIDATE)
+def test_other_metadata_are_another_policy_but_for_what_is_computed_when_exporting(broken_kit_run):
+    path, policy = broken_kit_run / f"{CANDIDATE}.onnx", load_policy(broken_kit_run / CANDIDATE)
 
     def changed(key):
         def change(model):
@@ -148,25 +148,25 @@ def test_other_metadata_are_another_policy_but_for_what_is_computed_when_exporti
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff", b"no policy"])
-def test_a_file_that_is_no_policy_is_said_to_be_none(broken_run, content):
-    path = broken_run / f"{CANDIDATE}.onnx"
+def test_a_file_that_is_no_policy_is_said_to_be_none(broken_kit_run, content):
+    path = broken_kit_run / f"{CANDIDATE}.onnx"
     path.write_bytes(content)
-    assert (what_differs(path, load_policy(broken_run / CANDIDATE)) or "").startswith("not a whole ONNX file")
+    assert (what_differs(path, load_policy(broken_kit_run / CANDIDATE)) or "").startswith("not a whole ONNX file")
 
 
-def test_evaluating_compares_them_too_and_exports_again_what_was_deleted(broken_run):
-    path = broken_run / "policies/pretrained.onnx"
+def test_evaluating_compares_them_too_and_exports_again_what_was_deleted(broken_kit_run):
+    path = broken_kit_run / "policies/pretrained.onnx"
     whole = path.read_bytes()
     flip(path)
     with pytest.raises(PolicyError, match=rf"^{path}: damaged, or of another policy .* Delete it and give the command"):
-        policy_file(broken_run, "pretrained")
+        policy_file(broken_kit_run, "pretrained")
     with pytest.raises(PolicyError, match=rf"^{path}: damaged"):
-        policy_file(broken_run, path)
+        policy_file(broken_kit_run, path)
     path.unlink()
-    assert policy_file(broken_run, "pretrained").read_bytes() == whole
+    assert policy_file(broken_kit_run, "pretrained").read_bytes() == whole
 
 
-def test_a_graph_that_computes_something_else_is_another_policy(broken_run):
-    path, policy = broken_run / f"{CANDIDATE}.onnx", load_policy(broken_run / CANDIDATE)
+def test_a_graph_that_computes_something_else_is_another_policy(broken_kit_run):
+    path, policy = broken_kit_run / f"{CANDIDATE}.onnx", load_policy(broken_kit_run / CANDIDATE)
     rewritten(path, lambda model: setattr(model.graph.node[4], "op_type", "Relu"))
     assert (what_differs(path, policy) or "").startswith("its graph is Sub-Div-Clip-Gemm-Relu")

@@ -75,15 +75,15 @@ def test_packages_of_another_version_than_a_run_was_begun_with_are_named(monkeyp
     assert provenance.other_versions(kept) == ""
 
 
-def test_a_run_that_is_resumed_under_another_version_says_so(broken_run, capfd):
-    path = broken_run / "provenance.json"
+def test_a_run_that_is_resumed_under_another_version_says_so(broken_kit_run, capfd):
+    path = broken_kit_run / "provenance.json"
     kept = json.loads(path.read_text())
     kept |= {"plugins": {"core": "hard-to-sim"}, "packages": {"hard-to-sim": "0.0.1"}}
     path.write_text(json.dumps(kept))
-    api.resume(broken_run)
+    api.resume(broken_kit_run)
     assert "was begun with" not in "".join(capfd.readouterr())  # it was finished: nothing follows
     for stage in ("final", "summary"):
-        (broken_run / f"{stage}.json").unlink()
-    api.resume(broken_run)
+        (broken_kit_run / f"{stage}.json").unlink()
+    api.resume(broken_kit_run)
     said = " ".join("".join(capfd.readouterr()).split())
     assert "was begun with hard-to-sim 0.0.1 (now " in said and "of one version" in said

@@ -207,7 +207,7 @@ def test_a_run_killed_while_it_collects_goes_on_as_if_undisturbed(small_run, bro
         return any((store / name).exists() for name in collected)
 
     expected = kills.outcome(small_run.folder)
-    trial = kills.kill_and_resume(["resume", broken_run], broken_run, expected, moment, tmp_path / "log")
+    trial = kills.kill_and_resume(["resume", broken_run], broken_run, expected, moment, tmp_path / "log", api.resume)
     assert trial.wrong == []
 
 
@@ -219,6 +219,6 @@ def test_a_run_killed_while_it_fine_tunes_goes_on_from_its_checkpoint(small_run,
         return (broken_run / "iterations/00/checkpoint-0").exists()
 
     expected = kills.outcome(small_run.folder)
-    trial = kills.kill_and_resume(["resume", broken_run], broken_run, expected, moment, tmp_path / "log")
+    trial = kills.kill_and_resume(["resume", broken_run], broken_run, expected, moment, tmp_path / "log", api.resume)
     assert trial.wrong == []
     assert trial.checkpoint

@@ -47,43 +47,43 @@ def refused(folder: Path, path: Path, said: str) -> None:
 
 @pytest.mark.parametrize("stage", STAGES)
 @pytest.mark.parametrize("content", [{}, [], 3, None])
-def test_a_file_that_holds_something_else_is_refused(broken_run, stage, content):
-    refused(broken_run, changed(broken_run, stage, lambda _: content), "")
+def test_a_file_that_holds_something_else_is_refused(broken_kit_run, stage, content):
+    refused(broken_kit_run, changed(broken_kit_run, stage, lambda _: content), "")
 
 
 @pytest.mark.parametrize(
     ("stage", "key"), [(FIRST + "/test", "best"), (FIRST + "/gate", "elites"), ("collect", "recordings")]
 )
-def test_a_key_that_is_missing_is_named(broken_run, stage, key):
-    path = changed(broken_run, stage, lambda found: {name: one for name, one in found.items() if name != key})
-    refused(broken_run, path, f"{key}: this key is needed and missing")
+def test_a_key_that_is_missing_is_named(broken_kit_run, stage, key):
+    path = changed(broken_kit_run, stage, lambda found: {name: one for name, one in found.items() if name != key})
+    refused(broken_kit_run, path, f"{key}: this key is needed and missing")
 
 
-def test_a_key_of_another_type_is_named(broken_run):
-    path = changed(broken_run, "collect", lambda found: {**found, "samples": "many"})
-    refused(broken_run, path, "samples: expected a whole number, found 'many'")
+def test_a_key_of_another_type_is_named(broken_kit_run):
+    path = changed(broken_kit_run, "collect", lambda found: {**found, "samples": "many"})
+    refused(broken_kit_run, path, "samples: expected a whole number, found 'many'")
 
 
 @pytest.mark.parametrize("last", ["simulate", "gate", "test", "all"])
-def test_a_changed_candidate_is_laid_to_the_file_that_is_at_fault(broken_run, last):
+def test_a_changed_candidate_is_laid_to_the_file_that_is_at_fault(broken_kit_run, last):
     after = STAGES[STAGES.index(f"{FIRST}/{last}") + 1 :] if last != "all" else []
-    without(broken_run, *after)
+    without(broken_kit_run, *after)
 
     def renamed(found):
         found["candidates"][1]["id"] = "00-07"
         return found
 
-    path = changed(broken_run, f"{FIRST}/finetune", renamed)
-    refused(broken_run, path, "its candidates are 00-07, expected those of simulate.json: 00-00, 00-01")
+    path = changed(broken_kit_run, f"{FIRST}/finetune", renamed)
+    refused(broken_kit_run, path, "its candidates are 00-07, expected those of simulate.json: 00-00, 00-01")
 
 
-def test_candidates_that_were_not_judged_are_laid_to_the_file_that_judged_them(broken_run):
+def test_candidates_that_were_not_judged_are_laid_to_the_file_that_judged_them(broken_kit_run):
     def forgotten(found):
         for key in ("scores", "falls", "tracked"):
             del found[key]["00-01"]
         return found
 
-    refused(broken_run, changed(broken_run, f"{FIRST}/simulate", forgotten), "nothing about 00-01")
+    refused(broken_kit_run, changed(broken_kit_run, f"{FIRST}/simulate", forgotten), "nothing about 00-01")
 
 
 @pytest.mark.parametrize(
@@ -97,11 +97,11 @@ def test_candidates_that_were_not_judged_are_laid_to_the_file_that_judged_them(b
         ("simulate", {"elites": ["00-09"]}, "its elites are 00-09"),
     ],
 )
-def test_a_candidate_that_nobody_knows_is_named(broken_run, stage, change, said):
-    refused(broken_run, changed(broken_run, f"{FIRST}/{stage}", lambda found: {**found, **change}), said)
+def test_a_candidate_that_nobody_knows_is_named(broken_kit_run, stage, change, said):
+    refused(broken_kit_run, changed(broken_kit_run, f"{FIRST}/{stage}", lambda found: {**found, **change}), said)
 
 
-def test_a_gate_that_saw_another_policy_of_that_name_is_named(broken_run):
+def test_a_gate_that_saw_another_policy_of_that_name_is_named(broken_kit_run):
     def another(found):
         first = next(iter(found["policies"]))
         return {
@@ -110,26 +110,34 @@ def test_a_gate_that_saw_another_policy_of_that_name_is_named(broken_run):
         }
 
     refused(
-        broken_run, changed(broken_run, f"{FIRST}/gate", another), "the gate saw another 00-0., 000000000000, expected"
+        broken_kit_run,
+        changed(broken_kit_run, f"{FIRST}/gate", another),
+        "the gate saw another 00-0., 000000000000, expected",
     )
 
 
-def test_judged_candidates_of_another_run_are_laid_to_the_file_that_is_at_fault(broken_run):
+def test_judged_candidates_of_another_run_are_laid_to_the_file_that_is_at_fault(broken_kit_run):
     def another(found):
         return {**found, "policy_hashes": {name: "0" * 64 for name in found["policy_hashes"]}}
 
-    without(broken_run, f"{FIRST}/gate", f"{FIRST}/test", "final", "summary")
-    path = broken_run / f"{FIRST}/simulate.json"
+    without(broken_kit_run, f"{FIRST}/gate", f"{FIRST}/test", "final", "summary")
+    path = broken_kit_run / f"{FIRST}/simulate.json"
     whole = path.read_text()
     refused(
-        broken_run, changed(broken_run, f"{FIRST}/simulate", another), "of another 00-00, policy 000000000000, expec"
+        broken_kit_run,
+        changed(broken_kit_run, f"{FIRST}/simulate", another),
+        "of another 00-00, policy 000000000000, expec",
     )
     path.write_text(whole)
 
     def tuned(found):
         return {**found, "candidates": [{**row, "policy_hash": "1" * 64} for row in found["candidates"]]}
 
-    refused(broken_run, changed(broken_run, f"{FIRST}/finetune", tuned), "of another 00-00, policy 111111111111, expec")
+    refused(
+        broken_kit_run,
+        changed(broken_kit_run, f"{FIRST}/finetune", tuned),
+        "of another 00-00, policy 111111111111, expec",
+    )
 
 
 @pytest.mark.parametrize(
@@ -149,80 +157,82 @@ def test_judged_candidates_of_another_run_are_laid_to_the_file_that_is_at_fault(
         ),
     ],
 )
-def test_a_summary_of_another_run_is_named(broken_run, change, said):
-    refused(broken_run, changed(broken_run, "summary", change), said)
+def test_a_summary_of_another_run_is_named(broken_kit_run, change, said):
+    refused(broken_kit_run, changed(broken_kit_run, "summary", change), said)
 
 
-def test_what_an_earlier_version_did_not_write_is_missed_only_where_it_is_needed(small_run, broken_run):
+def test_what_an_earlier_version_did_not_write_is_missed_only_where_it_is_needed(kit_run, broken_kit_run):
     added = ("predicted", "task_rewards", "trials", "policy_hashes")
 
     def earlier(found):
         return {key: one for key, one in found.items() if key not in added}
 
-    path = changed(broken_run, f"{FIRST}/simulate", earlier)
-    assert api.resume(broken_run) == broken_run
-    without(broken_run, f"{FIRST}/gate", f"{FIRST}/test", "final", "summary")
-    refused(broken_run, path, "nothing about predicted, task_rewards, trials")
+    path = changed(broken_kit_run, f"{FIRST}/simulate", earlier)
+    assert api.resume(broken_kit_run) == broken_kit_run
+    without(broken_kit_run, f"{FIRST}/gate", f"{FIRST}/test", "final", "summary")
+    refused(broken_kit_run, path, "nothing about predicted, task_rewards, trials")
 
 
-def test_a_gate_that_was_deleted_after_its_elites_were_tested_is_asked_again(small_run, broken_run):
-    path = broken_run / f"{FIRST}/gate.json"
+def test_a_gate_that_was_deleted_after_its_elites_were_tested_is_asked_again(kit_run, broken_kit_run):
+    path = broken_kit_run / f"{FIRST}/gate.json"
     whole = path.read_bytes()
-    without(broken_run, f"{FIRST}/gate", "final", "summary")
-    config = read_config(broken_run / "config.yaml")
-    assert simulates_yet(config, broken_run)
-    api.resume(broken_run)
-    assert path.read_bytes() == whole and not simulates_yet(config, broken_run)
-    assert small_run.summary_of(broken_run) == small_run.summary_of()
+    without(broken_kit_run, f"{FIRST}/gate", "final", "summary")
+    config = read_config(broken_kit_run / "config.yaml")
+    assert simulates_yet(config, broken_kit_run)
+    api.resume(broken_kit_run)
+    assert path.read_bytes() == whole and not simulates_yet(config, broken_kit_run)
+    assert kit_run.summary_of(broken_kit_run) == kit_run.summary_of()
 
 
-def test_a_run_that_a_version_without_a_gate_tested_has_none(broken_run):
-    config = yaml.safe_load((broken_run / "config.yaml").read_text())
+def test_a_run_that_a_version_without_a_gate_tested_has_none(broken_kit_run):
+    config = yaml.safe_load((broken_kit_run / "config.yaml").read_text())
     del config["gate"]
-    (broken_run / "config.yaml").write_text(yaml.safe_dump(config))
-    changed(broken_run, "provenance", lambda kept: {name: kept[name] for name in kept if name != "config_sha256"})
-    without(broken_run, f"{FIRST}/gate", "final", "summary")
-    assert not simulates_yet(read_config(broken_run / "config.yaml"), broken_run)
-    api.resume(broken_run)
-    assert not (broken_run / f"{FIRST}/gate.json").exists()
+    (broken_kit_run / "config.yaml").write_text(yaml.safe_dump(config))
+    changed(broken_kit_run, "provenance", lambda kept: {name: kept[name] for name in kept if name != "config_sha256"})
+    without(broken_kit_run, f"{FIRST}/gate", "final", "summary")
+    assert not simulates_yet(read_config(broken_kit_run / "config.yaml"), broken_kit_run)
+    api.resume(broken_kit_run)
+    assert not (broken_kit_run / f"{FIRST}/gate.json").exists()
 
 
-def test_a_report_is_not_made_of_a_summary_that_says_nothing(broken_run):
+def test_a_report_is_not_made_of_a_summary_that_says_nothing(broken_kit_run):
     from hts.report import write_report
 
-    path = changed(broken_run, "summary", lambda _: {})
-    before = (broken_run / "report.html").read_bytes()
-    with pytest.raises(RunError, match=rf"^{path}: damaged \(objectives: .* `hts resume {broken_run}`: it is written"):
-        write_report(broken_run)
-    assert (broken_run / "report.html").read_bytes() == before
-    without(broken_run, "summary")
-    api.resume(broken_run)
-    write_report(broken_run)
+    path = changed(broken_kit_run, "summary", lambda _: {})
+    before = (broken_kit_run / "report.html").read_bytes()
+    with pytest.raises(
+        RunError, match=rf"^{path}: damaged \(objectives: .* `hts resume {broken_kit_run}`: it is written"
+    ):
+        write_report(broken_kit_run)
+    assert (broken_kit_run / "report.html").read_bytes() == before
+    without(broken_kit_run, "summary")
+    api.resume(broken_kit_run)
+    write_report(broken_kit_run)
 
 
 @pytest.mark.parametrize("content", ["", '{"power": ', "[]", '{"power": 3}', '{"power": {"0.8": {"policy": {}}}}'])
-def test_damaged_segments_say_how_they_come_back(small_run, broken_run, content):
-    path = broken_run / "segments.json"
+def test_damaged_segments_say_how_they_come_back(kit_run, broken_kit_run, content):
+    path = broken_kit_run / "segments.json"
     whole = path.read_bytes()
     path.write_text(content)
     with pytest.raises(
         RunError, match=rf"^{path}: .*\. Delete it, final.json, summary.json and report.html, and `hts resume"
     ) as caught:
-        read_run(broken_run)
+        read_run(broken_kit_run)
     assert "\n" not in str(caught.value)
     if not content:  # once is enough
         path.unlink()
-        without(broken_run, "final", "summary")
-        api.resume(broken_run)
-        assert path.read_bytes() == whole and small_run.summary_of(broken_run) == small_run.summary_of()
+        without(broken_kit_run, "final", "summary")
+        api.resume(broken_kit_run)
+        assert path.read_bytes() == whole and kit_run.summary_of(broken_kit_run) == kit_run.summary_of()
 
 
-def test_a_report_without_segments_says_so(broken_run, capsys):
-    assert without_segments(read_run(broken_run)) is None
-    (broken_run / "segments.json").unlink()
-    assert main(["report", str(broken_run)]) == 0
+def test_a_report_without_segments_says_so(broken_kit_run, capsys):
+    assert without_segments(read_run(broken_kit_run)) is None
+    (broken_kit_run / "segments.json").unlink()
+    assert main(["report", str(broken_kit_run)]) == 0
     said = capsys.readouterr().err
-    assert said.startswith(f"{broken_run}/segments.json: is missing, so the report lacks the figure")
+    assert said.startswith(f"{broken_kit_run}/segments.json: is missing, so the report lacks the figure")
     assert "Delete final.json, summary.json and report.html, and `hts resume" in said
 
 
@@ -334,8 +344,8 @@ def test_a_trial_that_counts_and_measured_nothing_is_named(tmp_path):
         check_results(path, rows, ["fake"])
 
 
-def test_every_file_of_a_finished_run_passes(small_run):
-    read = [path for path in small_run.folder.rglob("*.json") if path.stem in FILES and "policies" not in path.parts]
+def test_every_file_of_a_finished_run_passes(kit_run):
+    read = [path for path in kit_run.folder.rglob("*.json") if path.stem in FILES and "policies" not in path.parts]
     assert len(read) >= 8
     for path in read:
         assert read_stage(path) == json.loads(path.read_text())

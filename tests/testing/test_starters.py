@@ -116,11 +116,11 @@ def test_the_tests_of_a_robot_without_a_policy_skip_what_needs_one(tmp_path):
 
 
 @pytest.mark.slow
-def test_all_of_them_run_smoke_together(site, hts, small, tmp_path):
+def test_all_of_them_run_smoke_together(site, hts_here, small, tmp_path):
     command = ["run", "--objective", "heat", "--robot", "hopper", "--preset", "smoke", "--out", tmp_path / "run"]
     chosen = ("--set", "selection.selector.name=steady", "--set", "objectives.heat.model=thermal")
     carried = ("--set", "world.instruments.thermometer.noise=0.1")  # beside the objective's own
-    done = hts(*command, *chosen, *carried, *small("twin"), path=[site], timeout=280)
+    done = hts_here(*command, *chosen, *carried, *small("twin"), path=[site])
     assert done.returncode == 0, done.stderr
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["objectives"], summary["robot"], summary["world"]) == (["heat"], "hopper", "twin")
@@ -180,11 +180,12 @@ def test_a_measurement_model_as_written_runs_smoke_with_our_own_objective_and_ro
 
 
 @pytest.mark.parametrize("name", ["heat", "a_rather_long_name_of_something", "step-noise"])
-@pytest.mark.parametrize("kind", NAMES)
-def test_it_is_formatted_and_linted_by_its_own_settings(kind, name, tmp_path):
-    folder = write_starter(kind, name, tmp_path)
+def test_they_are_formatted_and_linted_by_their_own_settings(name, tmp_path):
+    """ruff reads the settings that lie nearest to each file: those of its package."""
+    folders = [write_starter(kind, name, tmp_path / kind) for kind in NAMES]
+    assert all("[tool.ruff" in (folder / "pyproject.toml").read_text() for folder in folders)
     for command in (["check", "--no-cache"], ["format", "--check", "--no-cache"]):
-        done = python("-m", "ruff", *command, ".", cwd=folder)
+        done = python("-m", "ruff", *command, *folders, cwd=tmp_path)
         assert done.returncode == 0, done.stdout + done.stderr
 
 
