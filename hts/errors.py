@@ -95,5 +95,4 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
     names = sorted(known)
     close = nearest(name, names)
     hint = f" Did you mean '{close}'?" if close is not None else ""
-    listed = ", ".join(names) if names else "none is installed"
-    return f"No {kind} named '{name}'.{hint} Known: {listed}."
+    return f"No {kind} named '{name}'.{hint} Known: {', '.join(names) or 'none'}."

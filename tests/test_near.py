@@ -58,3 +58,7 @@ def test_nearness_is_of_letters_in_their_order(written, known, meant):
 def test_units_are_suggested_as_names_are():
     assert "Did you mean 'degC'?" in units.unknown("DegC")
     assert "Did you mean" not in units.unknown("furlongs")
+
+
+def test_what_is_no_plugin_is_not_said_to_be_uninstalled():
+    assert unknown_name("idle level", "current", ()) == "No idle level named 'current'. Known: none."
