@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, dataclass_transform, get_args
 
 from pydantic import (
     AfterValidator,
@@ -40,6 +40,9 @@ Range = Annotated[tuple[float, float], AfterValidator(_in_order)]
 """(low, high) of a uniform distribution; both may be one number, which is then what everyone gets."""
 
 
+# A type checker without pydantic's plugin takes `Field(0.5, …)` for a field that must be given: as no field specifier,
+# it is what it is here, a default.
+@dataclass_transform(kw_only_default=True)
 class Config(BaseModel):
     """Base of all configuration sections: frozen, unknown keys refused, numbers finite where a field does not say that
     it is `MayBeEndless`."""
@@ -97,6 +100,10 @@ class Named(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="allow")
     name: str = Field(description="as `hts plugins` lists it")
+
+    if TYPE_CHECKING:  # `extra="allow"` is nothing that a type checker knows
+
+        def __init__(self, *, name: str, **settings: Any) -> None: ...
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -143,6 +143,8 @@ class Registry:
             if self.broken:
                 packages = ", ".join(sorted({broken.package for broken in self.broken}))
                 message += f" Could not be loaded: {packages}; `hts plugins` says why."
+            elif not entries:
+                message += " Install the package that brings it; `hts plugins` lists what is there."
             raise ConfigError(message)
         return entries[name]
 

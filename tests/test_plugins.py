@@ -205,6 +205,11 @@ def test_an_unknown_name_is_answered_with_the_closest(install):
         load().make_robot("spto")
 
 
+def test_where_nothing_of_a_kind_is_installed_the_line_says_to_install_it():
+    with pytest.raises(ConfigError, match=r"^No robot named 'spot'\. Known: none\. Install the package that brings it"):
+        load([]).make_robot("spot")
+
+
 def test_an_unknown_name_points_to_plugins_that_could_not_be_loaded(install):
     install("stranger", {"stranger": "import no_such_library"}, {"odd": "stranger"})
     with pytest.raises(ConfigError, match="Could not be loaded: stranger; `hts plugins` says why"):

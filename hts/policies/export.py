@@ -23,7 +23,7 @@ CARD_KEY = "hts"
 CLIP = 10.0  # of normalised observations, as in `Population.normalised`
 
 
-def to_onnx(policy: Policy, path: Path, held: HeldCommands | None = None) -> Path:
+def to_onnx(policy: Policy, path: Path | str, held: HeldCommands | None = None) -> Path:
     """`observation` (batch, O) float32, raw -> `action` (batch, J), the mean action. Written in one move.
 
     held: commands to be sent for wanted speeds, put in front of the policy. Raises PolicyError for numbers that are not
@@ -117,7 +117,7 @@ class _Actor(torch.nn.Module):
         return x
 
 
-def to_torchscript(policy: Policy, path: Path, held: HeldCommands | None = None) -> Path:
+def to_torchscript(policy: Policy, path: Path | str, held: HeldCommands | None = None) -> Path:
     """The same function as a TorchScript file with the card as extra file `hts.json` (and `held_speeds`,
     `held_commands` as in ONNX metadata), while torch still offers it. Raises PolicyError for numbers that are not
     finite."""

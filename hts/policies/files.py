@@ -109,7 +109,7 @@ def make_card(
     )
 
 
-def tensor_path(path: Path) -> Path:
+def tensor_path(path: Path | str) -> Path:
     """The .safetensors of a policy named with or without it; dots in the name are part of it (`best-0.5`)."""
     path = Path(path)
     return (
@@ -129,7 +129,7 @@ def _seen_from(path: Path) -> str:
     )
 
 
-def save_policy(path: Path, policy: Policy) -> Path:
+def save_policy(path: Path | str, policy: Policy) -> Path:
     """Write `path` (.safetensors) and its .json, each in one move: no reader ever sees half a file. Raises PolicyError,
     and writes nothing, for numbers that are not finite."""
     path = tensor_path(path)
@@ -151,7 +151,7 @@ def pretrained_file(robot: Robot) -> Path:
     return source
 
 
-def load_policy(path: Path, robot: RobotSpec | None = None) -> Policy:
+def load_policy(path: Path | str, robot: RobotSpec | None = None) -> Policy:
     """Read a policy back. Raises PolicyError if a file is missing, damaged, not finite, or made for another robot."""
     named, path = Path(path), tensor_path(path)
     if named.suffix.lower() in ELSEWHERE and named.is_file() and not path.exists():

@@ -133,7 +133,7 @@ def test_when_one_of_two_writes_fails_the_other_is_not_left_running(
     """zarr writes the metadata of an array and of its group side by side, each in a thread."""
     put, ended = local_storage._put, []
 
-    def full(path: Path, value: Buffer, exclusive: bool = False) -> int:
+    def full(path: Path, value: Buffer, exclusive: bool = False, **others: object) -> int:
         if exclusive:
             time.sleep(0.3)
             ended.append(path.name)
