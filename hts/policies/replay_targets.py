@@ -11,9 +11,8 @@ TARGET_TOLERANCE = 1e-4  # rad: float32 of an angle, and of the sum that makes i
 
 def told_apart(found: float, said: float) -> tuple[str, str]:
     """Two numbers with four digits, or as many more as it takes to tell one from the other."""
-    return next(
-        pair for digits in range(4, 18) if (pair := (f"{found:.{digits}g}", f"{said:.{digits}g}"))[0] != pair[1]
-    )
+    shown = ((f"{found:.{digits}g}", f"{said:.{digits}g}") for digits in range(4, 17))
+    return next((pair for pair in shown if pair[0] != pair[1]), (f"{found:.17g}", f"{said:.17g}"))
 
 
 def explained(names: Sequence[str], pose: np.ndarray, scale: np.ndarray, action: np.ndarray, target: np.ndarray) -> str:
