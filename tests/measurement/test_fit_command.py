@@ -262,12 +262,13 @@ def test_a_run_says_it_at_its_fit_stage_and_not_again_in_the_next_iteration(tmp_
         named = SimpleNamespace(weights={"warm": (1.0,)})
         config = SimpleNamespace(measurement=None, objectives={"warm": {}}, fits_models=True, sweep=named)
         said: ClassVar[list[str]] = []
-        stages = SimpleNamespace(progress=SimpleNamespace(say=said.append))
+        say = staticmethod(said.append)
 
         known = staticmethod(lambda iteration: [])
         recordings = staticmethod(lambda ids: [])
         dataset = staticmethod(lambda ids: SimpleNamespace(sha256="", ids=()))
-        read = staticmethod(lambda name: results[name])
+        model_path = staticmethod(lambda iteration, name: tmp_path / name)
+        read = staticmethod(lambda stage, iteration: results[iteration])
 
     def fitted(r2):
         report = a_report(r2, 0.9)
@@ -275,19 +276,19 @@ def test_a_run_says_it_at_its_fit_stage_and_not_again_in_the_next_iteration(tmp_
 
     monkeypatch.setattr(learning.files, "save", lambda *given: None)
     fitted(-0.5)
-    results["iterations/00/fit"] = learning.fit(Job, 0, print)
+    results[0] = learning.fit(Job, 0, print)
     assert len(Job.said) == 1 and "is 1.400 below that of `linear`" in Job.said[0]
-    results["iterations/01/fit"] = learning.fit(Job, 1, print)
+    results[1] = learning.fit(Job, 1, print)
     assert len(Job.said) == 1
     fitted(0.9)
-    results["iterations/02/fit"] = learning.fit(Job, 2, print)
+    results[2] = learning.fit(Job, 2, print)
     fitted(0.7)
-    results["iterations/03/fit"] = learning.fit(Job, 3, print)
+    results[3] = learning.fit(Job, 3, print)
     assert len(Job.said) == 2 and "below that of `linear`" in Job.said[1]
     spoilt = a_report(0.9, 0.9) | {"masked": {"samples": 1, "short": 0, "why": {"heat": (1, 1e6, "W")}}}
     monkeypatch.setattr(learning, "fit_and_check", lambda *given, **more: fit_command.FitResult(None, spoilt))
     for iteration in (4, 5):
-        results[f"iterations/{iteration:02d}/fit"] = learning.fit(Job, iteration, print)
+        results[iteration] = learning.fit(Job, iteration, print)
     assert Job.said[2:] == ["heat: 1 sample that no machine makes left out: 'heat' 1 (such as 1e+06 W)."]
 
 

@@ -76,14 +76,16 @@ def model_matches(entry: Entry, registry: Registry) -> None:
     if root is None:
         return
     ensure(robot.mjcf() is not root, "mjcf() gives the same object twice: a change to one would change the other")
-    from hts.sim.conventions import missing
+    from hts.sim.conventions import missing, without_free_trunk
     from hts.sim.models import compile_model
     from hts.worlds.twin.model import build
     from hts.worlds.twin.parameters import DynamicsParameters
 
-    lacking = missing(compile_model(robot), robot.spec, isinstance(robot, VelocityRobot))
+    model, ordered = compile_model(robot), isinstance(robot, VelocityRobot)
+    lacking = missing(model, robot.spec, ordered)
     ensure(not lacking, lacking)
-    if isinstance(robot.task(), FollowVelocity):  # a twin knows no other
+    told = ordered and without_free_trunk(model, robot.spec)  # by `model_is_in_order`
+    if isinstance(robot.task(), FollowVelocity) and not told:  # a twin knows no other task
         build(robot, DynamicsParameters())
 
 
