@@ -9,12 +9,13 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
-import re
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import yaml
 
 from hts.errors import RecordingError, unknown_name
 from hts.recordings.table import AGAIN, cannot_be_read
@@ -23,8 +24,6 @@ MOST_RECORD = 1 << 28
 """Bytes of one record or unpacked part of a file; writers make parts of about a megabyte."""
 MCAP, SQLITE = b"\x89MCAP", b"SQLite format 3\x00"
 ROS1, ZSTD = b"#ROSBAG V", b"\x28\xb5\x2f\xfd"
-LISTED = re.compile(r"""^ *- +["']?(?!path:)(\S.*\.(?:mcap|db3))(?:\.zstd)?["']? *$""", re.MULTILINE)
-"""Of the metadata of a bag: a file of it, unpacked."""
 NEEDED = ("mcap", "mcap_ros2")
 
 
@@ -105,9 +104,7 @@ def _files(path: Path) -> list[Path]:
     for name in packed:
         if not (path / name.removesuffix(".zstd")).exists():
             raise RecordingError(f"{path}: part of this bag is packed. Unpack {name} first (`zstd -d`).")
-    about = path / "metadata.yaml"
-    text = about.read_text(encoding="utf-8", errors="replace") if about.exists() else ""
-    listed = {Path(name).name for name in LISTED.findall(text)}
+    listed = _listed(path / "metadata.yaml")
     if len(files) < len(listed):  # as many under other names were renamed
         lacking = min(listed - {one.name for one in files}, key=lambda name: _number(Path(name)))
         raise RecordingError(
@@ -117,6 +114,20 @@ def _files(path: Path) -> list[Path]:
     if not files:
         raise RecordingError(f"{path}: no .mcap or .db3 file in this folder. Name the folder that holds them.")
     return files
+
+
+def _listed(about: Path) -> set[str]:
+    """Names of the storage files, unpacked, that a bag's metadata lists; none where there are no metadata."""
+    if not about.exists():
+        return set()
+    try:
+        bag = yaml.safe_load(about.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        return {Path(name).name.removesuffix(".zstd") for name in bag["relative_file_paths"]}
+    except (yaml.YAMLError, UnicodeDecodeError, LookupError, TypeError) as error:
+        raise RecordingError(
+            f"{about}: not what a recorder writes (rosbag2_bagfile_information with relative_file_paths). {AGAIN} "
+            "Without this file whatever is in the folder is taken for the whole bag."
+        ) from error
 
 
 def _number(path: Path) -> tuple[int, str]:

@@ -203,6 +203,10 @@ def test_a_bag_of_which_a_part_is_missing_or_packed_is_not_taken_for_the_whole(t
     (tmp_path / "morning_0.mcap").unlink()
     with pytest.raises(RecordingError, match="metadata.yaml lists bag_0.mcap, which is not in this folder"):
         list(messages(tmp_path, "/gauge", {}))
+    for text in ("", "rosbag2_bagfile_information:\n  relative_file_paths: [bag_0.mca", "a: 1"):
+        about.write_text(text)
+        with pytest.raises(RecordingError, match="metadata.yaml: not what a recorder writes"):
+            list(messages(tmp_path, "/gauge", {}))
     about.unlink()
     (tmp_path / "bag_0.mcap.zstd").write_bytes(b"")  # as a recorder leaves them that is killed: the last part is plain
     with pytest.raises(RecordingError, match="part of this bag is packed. Unpack bag_0.mcap.zstd first"):

@@ -7,12 +7,9 @@ import math
 
 import numpy as np
 import pytest
-import scipy.stats
 
 from hts.config import TrustRegionConfig
 from hts.run.trust_region import (
-    PRIOR_ELITES,
-    PRIOR_SCATTER,
     Tried,
     agreement,
     by_all,
@@ -185,13 +182,11 @@ def test_what_an_elite_kept_is_the_mean_over_speeds_and_its_error_that_of_a_mean
 
 
 def test_the_interval_of_rho_is_as_on_paper():
-    """Two elites of 0.2 and 0.1 that kept 0.12 and 0.09, each with an error of 0.01: rho is 0.7, misses 0.02."""
-    tried = [elite(0.2, 0.12, half=1.96 * 0.01), elite(0.1, 0.09, half=1.96 * 0.01)]
-    degrees = PRIOR_ELITES + 1
-    scatter = (PRIOR_ELITES * PRIOR_SCATTER**2 * (0.2**2 + 0.1**2) + 2 * (0.02**2 + 0.02**2)) / degrees
-    half = scipy.stats.t.ppf(0.975, degrees) * math.sqrt(scatter + 2 * 0.01**2) / 0.3
-    found = agreement(tried)
-    assert found.rho == pytest.approx(0.7) and found.interval == pytest.approx((0.7 - half, 0.7 + half), rel=1e-4)
+    """Two elites of 0.2 and 0.1 that kept 0.12 and 0.09, each with an error of 0.01: both miss rho by 0.02. With the
+    prior of four at 15 %, scatter² is (4 · 0.15² · 0.05 + 2 · 2 · 0.02²) / 5 = 0.00122, with both errors 0.00142; t of
+    5 degrees is 2.571, and 2.571 · √0.00142 / 0.3 = 0.323."""
+    found = agreement([elite(0.2, 0.12, half=1.96 * 0.01), elite(0.1, 0.09, half=1.96 * 0.01)])
+    assert found.rho == pytest.approx(0.7) and found.interval == pytest.approx((0.7 - 0.323, 0.7 + 0.323), abs=5e-4)
 
 
 def made(weights, **predicted):
