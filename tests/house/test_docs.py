@@ -89,6 +89,18 @@ def test_the_settings_that_the_pages_state_are_those_of_the_code():
     assert "half as much as perfect speed tracking (weight 2," in (DOCS / "power.md").read_text()
 
 
+def test_following_a_run_tells_each_stage_by_its_line_and_its_file():
+    source = (REPOSITORY / "hts/run/algorithm.py").read_text()
+    page = (DOCS / "following-a-run.md").read_text()
+    (table,) = re.findall(r"^\| line on the terminal .*\n.*\n((?:\|.*\n)+)", page, re.MULTILINE)
+    rows = [re.split(r" \| ", row.strip("| ")) for row in table.splitlines()]
+    stages = set(re.findall(r'job\.do\(\s*f?"(?:\{name\}/)?(\w+)"', source))
+    assert {"collect", "fit", "nearer", "final"} <= stages
+    assert {name for row in rows for name in re.findall(r"(\w+)\.json", row[1])} - {"segments"} == stages
+    said = re.sub(r"\{(?:job\.)?config\.world\.name\}", "twin", source)
+    assert [line for line, _, _ in rows if re.sub(r" \(.*", "", line) not in said] == []
+
+
 def test_every_page_is_in_the_index():
     listed = set(LINK.findall((DOCS / "index.md").read_text()))
     assert {page.name for page in DOCS.glob("*.md")} - {"index.md"} == listed
