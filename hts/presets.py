@@ -1,9 +1,9 @@
 """Presets: where a run's configuration starts from. Data only; `hts config show --preset NAME` prints one.
 
-smoke   under a minute on two cores: does everything once, proves nothing
+smoke   about a minute on two cores: does everything once, proves nothing
 quick   real results on two CPU cores in about ten minutes (default)
 paper   the best that we can do within the paper's budgets, meant for a GPU
-paper-exact   the paper to the letter, to compare with
+paper-exact   the paper's recipe as we read it, to compare with
 """
 
 from __future__ import annotations
@@ -150,9 +150,10 @@ PAPER: dict[str, Any] = {
     "evaluation": {**OURS["evaluation"], "bootstrap": 10_000},
 }
 
-# The paper's protocol to the letter (arXiv 2502.10956, experiments): λ {0.5, 1, 5} x c {0.2, 0.5, 1} from two anchors,
+# The paper's protocol as we read it (arXiv 2502.10956, experiments): λ {0.5, 1, 5} x c {0.2, 0.5, 1} from two anchors,
 # six elites an iteration tried at 0.8 m/s, four iterations, 160 s of each policy's mean action at 50 Hz, policies
-# alternating every 80 s. What belongs to the objective (inputs, model, λ, criterion) its plugin says itself.
+# alternating every 80 s. What belongs to the objective (inputs, model, λ, criterion) its plugin says itself. Where it
+# is not the paper docs/decisions.md says.
 PAPER_EXACT: dict[str, Any] = {
     "world": {"name": "twin", "block_seconds": 80.0},
     "engine": "warp",

@@ -63,7 +63,7 @@ METHODS: dict[str, Method] = {
     "ours": Method(about="the method as shipped"),
     "ours-proxy": Method(settings=("reward_source=proxy",), about="ours with the analytic stand-in as reward"),
     "baseline": Method(command="baseline", about="`hts baseline`: the stand-in with its own sweep and budget"),
-    # With `paper` the paper to the letter; in smaller presets its inputs, data and criterion, within their budgets.
+    # With `paper` the paper's recipe as we read it; in smaller presets its inputs, data and criterion in their budgets.
     "paper-exact": Method(
         presets={"paper": "paper-exact"},
         elsewhere=(

@@ -19,6 +19,7 @@ from hts.guarded import guarded
 from hts.plugins import Entry
 
 SUMMARY = "Improve robot policies on what simulators cannot compute: measure, model, fine-tune, test, repeat."
+VERSION = ("--version", "Show the version and exit.")  # which `main` answers, in whatever folder it is asked
 
 
 class LazyGroup(TyperGroup):
@@ -34,6 +35,12 @@ class LazyGroup(TyperGroup):
         if cmd_name in plugin_commands:
             return _of_plugin(cmd_name, plugin_commands[cmd_name])
         raise ConfigError(unknown_name("command", cmd_name, [*COMMANDS, *plugin_commands]))
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        own = [record for one in self.get_params(ctx) if (record := one.get_help_record(ctx)) is not None]
+        with formatter.section("Options"):
+            formatter.write_dl([VERSION, *own])
+        self.format_commands(ctx, formatter)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         rows = [(name, line) for name, (_, line) in COMMANDS.items()]

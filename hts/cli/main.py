@@ -44,7 +44,7 @@ def _ended(arguments: list[str]) -> int:
 
 
 def _done(arguments: list[str]) -> Any:
-    if arguments == ["--version"]:
+    if arguments[:1] == ["--version"]:
         from hts import __version__
 
         print(f"hts {__version__}")

@@ -14,6 +14,7 @@ from hts.cli import options
 
 if TYPE_CHECKING:
     from hts.worlds.realities.like import Likeness
+    from hts.worlds.twin.reality import Measured
 
 app = typer.Typer(
     help="Plausible twins: draw, show, check, list, ranges, posterior, expect.",
@@ -100,11 +101,16 @@ def show(reality: Which, as_json: AsJson = False) -> None:
     typer.echo(f"sha256: {sha256(locate(reality))}")
     typer.echo(f"structures: {', '.join(found.switches) or 'none'}")
     for fact in found.facts:
-        typer.echo(f"{fact.name}: {fact.value:.4g} {fact.unit} ({fact.low:.4g} to {fact.high:.4g})")
+        typer.echo(f"{_measured(fact)} ({fact.low:.4g} to {fact.high:.4g})")
     default = dict(_flat(TwinSettings().model_dump(mode="json"), ""))
     for key, value in _flat(found.parameters, ""):
         if value != default.get(key):
             typer.echo(f"  {key}: {value}" + (f" (default twin: {default[key]})" if key in default else ""))
+
+
+def _measured(fact: Measured) -> str:
+    """What a reality showed, with its unit; a share has none."""
+    return f"{fact.name}: {fact.value:.4g}" + ("" if fact.unit == "1" else f" {fact.unit}")
 
 
 @app.command()
@@ -119,7 +125,7 @@ def check(reality: Which, as_json: AsJson = False) -> None:
     else:
         for fact in verdict.measured:
             mark = "ok" if fact.low <= fact.value <= fact.high else "OUTSIDE"
-            typer.echo(f"{fact.name}: {fact.value:.4g} {fact.unit} ({fact.low:.4g} to {fact.high:.4g}: {mark})")
+            typer.echo(f"{_measured(fact)} ({fact.low:.4g} to {fact.high:.4g}: {mark})")
         typer.echo("agrees" if verdict.kept else f"does not agree: {verdict.why}")
     if not verdict.kept:
         raise typer.Exit(1)

@@ -106,6 +106,13 @@ def test_the_version_is_shown(capsys):
     assert capsys.readouterr().out.startswith("hts 0.")
 
 
+def test_the_help_lists_the_option_that_shows_the_version(capsys):
+    assert main(["--help"]) == 0
+    assert "--version  Show the version and exit." in capsys.readouterr().out
+    assert main(["--version", "run"]) == 0  # as other programs do: what follows is not looked at
+    assert capsys.readouterr().out.startswith("hts 0.")
+
+
 def test_python_m_hts_is_hts():
     done = subprocess.run([sys.executable, "-m", "hts", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.startswith("hts 0.")

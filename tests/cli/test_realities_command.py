@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,8 @@ def test_a_reality_is_shown_with_what_makes_it_another_machine(capsys):
     assert f"dynamics.trunk_mass_scale: {scale} (default twin: 1.04)" in shown
     assert "physics_dt" not in shown  # as in the default twin
     assert f"structures: {', '.join(content['switches'])}" in shown
+    assert re.search(r"^standing: [\d.]+ W \(53 to 65\)$", shown, re.MULTILINE)
+    assert re.search(r"^idle share at 0\.5 m/s: [\d.]+ \(0\.2325 to 0\.3875\)$", shown, re.MULTILINE)
 
 
 @pytest.mark.parametrize("command", ["show", "check"])

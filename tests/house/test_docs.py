@@ -12,13 +12,14 @@ from pkgutil import resolve_name
 import pytest
 
 from hts.cli.commands import COMMANDS
-from hts.config import CommandConfig, EnvConfig, PPOConfig
+from hts.config import CollectionConfig, CommandConfig, EnvConfig, PPOConfig, TrustRegionConfig
 from hts.config_gate import GateConfig
 from hts.config_loading import load_config
 from hts.envs import rewards
 from hts.evaluation.held import not_held_in_training
 from hts.plugins import load
 from hts.presets import PRESETS
+from hts.run import trust_region
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"
@@ -84,9 +85,39 @@ def test_the_settings_that_the_pages_state_are_those_of_the_code():
     assert rates == [1e-4, 1e-4]
     assert "rate 10⁻⁴ in presets `quick` and `paper` (3·10⁻⁴ where nothing is set)" in training
     assert PPOConfig().learning_rate == 3e-4
+    region, most = TrustRegionConfig(), PRESETS["paper"]["sweep"]["trust_region"]["most"]
+    assert (region.shrink, region.grow, region.grow**2) == (0.5, 2.0, 4.0)
+    assert f"whole interval is below {region.agreement:g} (`agreement`)" in training
+    assert (
+        f"was above {trust_region.ACTIVE:g} of its bound | 2 (`grow`); 4 if it is above {region.close:g} (`close`)"
+        in training
+    )
+    assert f"leaves {region.least:g} to {region.most:g} nats (`least`, `most`; {most:g} in `paper`)" in training
+    (quick,), (paper,) = (PRESETS[name]["sweep"]["kl_bounds"] for name in ("quick", "paper"))
+    assert f"`quick` begins with {quick:g} nats, `paper` with {paper:g}" in training
+    assert f"a prior worth {trust_region.PRIOR_ELITES} elites".replace("4", "four") in training
+    first = {name: CollectionConfig.model_validate(PRESETS[name]["collection"]) for name in ("quick", "paper")}
+    assert {(one.repeats, one.exploring, one.exploration) for one in first.values()} == {(2, 6, 0.3)}
+    assert {tuple(part.vx for part in one.schedule.commands) for one in first.values()} == {(0.3, 0.5, 0.8, 1.1, 1.3)}
+    quick, paper = (one.schedule.commands[0].seconds for one in first.values())
+    measurement = (DOCS / "measurement.md").read_text()
+    assert f"0.3, 0.5, 0.8, 1.1 and 1.3 m/s for {quick:g} s each ({paper:g} s in `paper`)" in measurement
+    assert "Two are walked by the mean action, six with noise of 0.3 σ" in measurement
     worth = rewards.resolve_weights({})["track_velocity"]
     assert worth == 2.0 and "half of perfect speed tracking (weight 2)" in training
     assert "half as much as perfect speed tracking (weight 2," in (DOCS / "power.md").read_text()
+
+
+def test_following_a_run_tells_each_stage_by_its_line_and_its_file():
+    source = (REPOSITORY / "hts/run/algorithm.py").read_text()
+    page = (DOCS / "following-a-run.md").read_text()
+    (table,) = re.findall(r"^\| line on the terminal .*\n.*\n((?:\|.*\n)+)", page, re.MULTILINE)
+    rows = [re.split(r" \| ", row.strip("| ")) for row in table.splitlines()]
+    stages = set(re.findall(r'job\.do\(\s*f?"(?:\{name\}/)?(\w+)"', source))
+    assert {"collect", "fit", "nearer", "final"} <= stages
+    assert {name for row in rows for name in re.findall(r"(\w+)\.json", row[1])} - {"segments"} == stages
+    said = re.sub(r"\{(?:job\.)?config\.world\.name\}", "twin", source)
+    assert [line for line, _, _ in rows if re.sub(r" \(.*", "", line) not in said] == []
 
 
 def test_every_page_is_in_the_index():

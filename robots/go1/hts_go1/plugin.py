@@ -15,7 +15,7 @@ HTS_API = 2
 
 
 def make_go1(settings: Settings) -> Robot:
-    """The Go1 with `settings` of `hts_go1.robot.Go1Settings`."""
+    """Robot `go1`: the Unitree Go1, twelve joints, with a policy that walks."""
     from hts_go1.robot import Go1, Go1Settings
 
     return Go1(Go1Settings(**dict(settings)))
