@@ -46,7 +46,7 @@ def check_read(
         return
     for name in measured:
         series = channels[name]
-        if series.channel.may_be_constant or len(series.values) != len(walks) or _volts(series.channel.unit):
+        if series.channel.may_be_constant or len(series.values) != len(walks) or is_voltage(series.channel.unit):
             continue
         values = series.values.reshape(len(walks), -1).astype(np.float64)
         same = (np.abs(np.diff(values, axis=0)) <= SAME * np.abs(values).max()).all(axis=1)
@@ -66,7 +66,8 @@ def check_read(
                 )
 
 
-def _volts(unit: str) -> bool:
+def is_voltage(unit: str) -> bool:
+    """Whether it is a unit of voltages, such as V or mV."""
     try:
         units.conversion(unit, "V")
     except RecordingError:
