@@ -17,9 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hts.errors import RunError
 from hts.overrides import Override
-from hts.places import PRETRAINING, existing_run, resume_command
+from hts.places import PRETRAINING, existing_run
 
 if TYPE_CHECKING:
     from hts.config import RunConfig
@@ -191,21 +190,15 @@ class Run:
 
 
 def load(folder: Path | str) -> Run:
-    """A run, finished or not. Raises RunError where there is none.
+    """A run, finished or not. Raises RunError where there is none, or a summary.json that no run wrote.
 
     For example `api.load("runs/first").policy("best").card.policy_hash`.
     """
     from hts.config_loading import read_config
+    from hts.report.data import read_summary
 
     place = existing_run(Path(folder))
-    summary = place / "summary.json"
-    try:
-        found = json.loads(summary.read_text(encoding="utf-8")) if summary.exists() else None
-    except ValueError as error:
-        raise RunError(
-            f"{summary}: is not JSON ({error}). Delete it and write it again: `{resume_command(place)}`."
-        ) from error
-    return Run(place, read_config(place / "config.yaml"), found)
+    return Run(place, read_config(place / "config.yaml"), read_summary(place) or None)
 
 
 def _overrides(settings: Mapping[str, Any] | None) -> list[Override]:

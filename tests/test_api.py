@@ -109,10 +109,21 @@ def test_evaluate_passes_on_speeds_policy_world_seed_and_settings(folder, monkey
     assert capsys.readouterr() == ("", "a note\n")
 
 
+SUMMARY = {
+    "objectives": ["anything"],
+    "robot": "any",
+    "preset": "smoke",
+    "engine": "mujoco",
+    "seed": 3,
+    "iterations": [],
+    "final": None,
+}
+
+
 def test_load_gives_configuration_and_summary_of_a_finished_run(folder):
-    (folder / "summary.json").write_text('{"seed": 3}', encoding="utf-8")
+    (folder / "summary.json").write_text(json.dumps({**SUMMARY, "key_of_tomorrow": 1}), encoding="utf-8")
     run = api.load(folder)
-    assert (run.folder, run.config.seed, run.summary) == (folder, 3, {"seed": 3})
+    assert (run.folder, run.config.seed, run.summary) == (folder, 3, {**SUMMARY, "key_of_tomorrow": 1})
 
 
 def test_an_unfinished_run_has_no_summary_and_a_damaged_one_is_an_error(folder):
@@ -120,6 +131,23 @@ def test_an_unfinished_run_has_no_summary_and_a_damaged_one_is_an_error(folder):
     (folder / "summary.json").write_text('{"seed":', encoding="utf-8")
     with pytest.raises(RunError, match="hts resume"):
         api.load(folder)
+
+
+@pytest.mark.parametrize(
+    ("written", "found"),
+    [
+        ("[1, 2]", "holds a list, expected an object"),
+        ("null", "holds a NoneType, expected an object"),
+        ("{}", "damaged .*objectives"),
+        (json.dumps(SUMMARY | {"iterations": {}}), "damaged .*iterations"),
+        (json.dumps({key: one for key, one in SUMMARY.items() if key != "final"}), "damaged .*final"),
+    ],
+)
+def test_a_summary_that_no_run_writes_is_one_clear_error(folder, written, found):
+    (folder / "summary.json").write_text(written, encoding="utf-8")
+    with pytest.raises(RunError, match=rf"summary\.json: {found}.*hts resume") as refused:
+        api.load(folder)
+    assert "\n" not in str(refused.value)
 
 
 def test_load_refuses_a_folder_without_a_run(tmp_path):

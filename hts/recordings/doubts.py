@@ -19,6 +19,7 @@ DOUBTS = (
     "foot_force_scale",
     "foot_force_legs",
     "temperature_unit",
+    "accumulator_exchanged",
     "idle_differs",
     "blocks_unlike",
     "recorded_apart",
@@ -26,9 +27,9 @@ DOUBTS = (
     "logs_overlap",
 )
 """Names of the notes of `torque_notes`, `work_notes`, `velocity_notes`, `repeated_notes`, `still_notes`, `axes_notes`,
-`foot_notes` and `temperature_notes`, and those of a world whose recordings are compared although they state idle levels
-that differ, measure what is far apart, or lie long after each other, in another order than planned or over one
-another."""
+`foot_notes`, `temperature_notes` and `exchanged_notes`, and those of a world whose recordings are compared although
+they state idle levels that differ, measure what is far apart, or lie long after each other, in another order than
+planned or over one another."""
 
 
 def remarks(recordings: Sequence[Recording]) -> list[str]:

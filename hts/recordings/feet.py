@@ -21,6 +21,7 @@ import numpy as np
 from hts.contracts import Robot
 from hts.recordings.recording import Recording
 from hts.recordings.repeated import moving
+from hts.recordings.robot_model import robot_model
 
 if TYPE_CHECKING:
     import mujoco
@@ -51,11 +52,10 @@ def foot_notes(recording: Recording, robot: Robot, stated: Collection[str] = ())
     if series is None or FORCE in stated or recording.fell or series.channel.unit != "N" or series.values.ndim != 2:
         return {}
     walks = moving(recording.channels, recording.rate_hz)
-    if walks is None or walks.sum() < LEAST_SECONDS * recording.rate_hz or robot.mjcf() is None:
+    model = None if walks is None or walks.sum() < LEAST_SECONDS * recording.rate_hz else robot_model(robot)
+    if walks is None or model is None:
         return {}
-    from hts.sim.models import compile_model
-
-    model, force = compile_model(robot), series.values.astype(np.float64)
+    force = series.values.astype(np.float64)
     return _scale_notes(recording, model, force, walks) | _leg_notes(recording, robot, model, force, walks)
 
 

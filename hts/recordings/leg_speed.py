@@ -13,6 +13,7 @@ import numpy as np
 
 from hts.contracts import Robot
 from hts.recordings.recording import Recording
+from hts.recordings.robot_model import robot_model
 
 POSITION, TURNING, GRAVITY, FORCE = "joint_position", "angular_velocity", "projected_gravity", "foot_force"
 MOST_SAMPLES = 3000
@@ -23,7 +24,7 @@ def leg_speed(recording: Recording, robot: Robot) -> np.ndarray | None:
     """Velocity of the trunk by its legs, (T, 2), m/s ahead and to the left, of the first MOST_SAMPLES; None of a robot
     without a model or feet, and of a log without positions in rad or gravity."""
     channels, sites = recording.channels, robot.spec.foot_sites
-    if robot.mjcf() is None or not sites or any(name not in channels for name in (POSITION, GRAVITY)):
+    if not sites or any(name not in channels for name in (POSITION, GRAVITY)):
         return None
     position, down = (channels[name].values[:MOST_SAMPLES].astype(np.float64) for name in (POSITION, GRAVITY))
     if channels[POSITION].channel.unit != "rad" or position.shape[1:] != (robot.spec.num_joints,) or len(down) < 3:
@@ -40,13 +41,13 @@ def leg_speed(recording: Recording, robot: Robot) -> np.ndarray | None:
 
 
 def _feet(position: np.ndarray, joint_names: tuple[str, ...], robot: Robot) -> np.ndarray | None:
-    """Positions of the feet in the trunk's axes, (T, F, 3), m; None where the model does not have all of the names.
+    """Positions of the feet in the trunk's axes, (T, F, 3), m; None without a model that has all of the names.
     position: (T, J), rad."""
+    model, spec = robot_model(robot), robot.spec
+    if model is None:
+        return None
     import mujoco
 
-    from hts.sim.models import compile_model
-
-    model, spec = compile_model(robot), robot.spec
     joints = {model.joint(number).name: int(model.jnt_qposadr[number]) for number in range(model.njnt)}
     bodies = {model.body(number).name: number for number in range(model.nbody)}
     sites = {model.site(number).name: number for number in range(model.nsite)}

@@ -9,7 +9,7 @@ holds: units, signs, joint order, gaps, resampling, limits, idle levels. A forma
 the parts: `samples_of` and `common_grid` and `resampled` for times, `check_limits`, `check_still_joints`,
 `check_no_reading`, `check_motion`, `check_idle`, `check_read`, `check_upright`, `check_turning`, `check_told_turn`,
 `check_targets`, `torque_notes`, `work_notes`, `velocity_notes`, `foot_notes`, `still_notes`, `axes_notes`,
-`repeated_notes` and `temperature_notes` for values.
+`repeated_notes`, `temperature_notes` and `exchanged_notes` for values.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from hts.recordings.axes import axes_notes
 from hts.recordings.base_speed import velocity_notes
 from hts.recordings.blank import without_blanks
 from hts.recordings.commanded import until_the_end
+from hts.recordings.exchanged import exchanged_notes
 from hts.recordings.factors import as_one, common_factor, common_offset, of_joints
 from hts.recordings.feet import foot_notes
 from hts.recordings.gravity import check_upright
@@ -84,6 +85,7 @@ __all__ = [
     "check_turning",
     "check_upright",
     "common_grid",
+    "exchanged_notes",
     "foot_notes",
     "held",
     "recording_from_columns",

@@ -10,6 +10,7 @@ from hts.recordings.attitude import still_notes
 from hts.recordings.axes import axes_notes
 from hts.recordings.base_speed import velocity_notes
 from hts.recordings.checks import check
+from hts.recordings.exchanged import exchanged_notes
 from hts.recordings.factors import common_factor
 from hts.recordings.feet import foot_notes
 from hts.recordings.gravity import GRAVITY, check_upright
@@ -60,6 +61,7 @@ def looked_over(
     doubts |= repeated_notes(judged.channels, rate_hz) | work_notes(judged, stated) | still_notes(judged, stated)
     doubts |= foot_notes(judged, robot, stated) | axes_notes(judged.channels, rate_hz, stated)
     doubts |= temperature_notes(channels, {name: one.unit for name, one in log.channels.items()}, stated)
+    doubts |= exchanged_notes(channels, rate_hz, stated)
     return recording.replace(notes={**recording.notes, **doubts}) if doubts else recording
 
 

@@ -15,6 +15,7 @@ from hts.contracts import Robot, RobotSpec
 from hts.contracts.speeds import fastest
 from hts.errors import RecordingError
 from hts.recordings.recording import Recording, Series
+from hts.recordings.robot_model import robot_model
 from hts.recordings.standard_units import in_standard_units
 
 # A log may overshoot a limit for a moment (estimates, impacts). It may not do so typically, nor by half in 1 % of it.
@@ -143,11 +144,9 @@ def check_facts(recording: Recording, robot: Robot, where: str) -> None:
                     f"{where}: recording.schedule.commands.{number}.{name} is {found:g} {unit}. Expected at most "
                     f"{most:g} {unit}. It is probably in another unit (mm/s are no m/s): correct it."
                 )
-    if recording.mass_kg is None or robot.mjcf() is None:
+    model = None if recording.mass_kg is None else robot_model(robot)
+    if recording.mass_kg is None or model is None:
         return
-    from hts.sim.models import compile_model
-
-    model = compile_model(robot)
     mass = float(model.body_mass[model.body_weldid != 0].sum())  # of what can move
     if mass > 0 and not 1 / MASS_FACTOR <= recording.mass_kg / mass <= MASS_FACTOR:
         raise RecordingError(

@@ -70,14 +70,20 @@ def joint_speed(channels: Mapping[str, Series], rate_hz: float) -> np.ndarray | 
     return None
 
 
-def moving(channels: Mapping[str, Series], rate_hz: float) -> np.ndarray | None:
-    """Samples (T,) bool around which the joints move, in the mean over OVER_SECONDS; None without `joint_speed`."""
+def pace_of(channels: Mapping[str, Series], rate_hz: float) -> np.ndarray | None:
+    """`joint_speed` (T,) in the root mean square over OVER_SECONDS around each sample; None without one."""
     speed = joint_speed(channels, rate_hz)
     if speed is None:
         return None
     window = np.ones(max(1, min(round(OVER_SECONDS * rate_hz), len(speed))))
     squares = np.convolve(speed**2, window, "same") / np.convolve(np.ones(len(speed)), window, "same")
-    return np.asarray(np.sqrt(squares) > MOVING)
+    return np.asarray(np.sqrt(squares))
+
+
+def moving(channels: Mapping[str, Series], rate_hz: float) -> np.ndarray | None:
+    """Samples (T,) bool around which the joints move, in the mean over OVER_SECONDS; None without `joint_speed`."""
+    pace = pace_of(channels, rate_hz)
+    return None if pace is None else np.asarray(pace > MOVING)
 
 
 def runs_of(same: np.ndarray) -> list[tuple[int, int]]:

@@ -16,8 +16,9 @@ import numpy as np
 
 from hts import units
 from hts.errors import RecordingError
+from hts.recordings.coarse import Walk, stands_by_resolution
 from hts.recordings.recording import Series
-from hts.recordings.repeated import moving, runs_of
+from hts.recordings.repeated import MOVING, pace_of, runs_of
 
 LONGEST_SECONDS = 3.0
 """Of moving, in which what is measured has to change; one reading a second may then come out alike twice."""
@@ -34,26 +35,33 @@ def check_read(
     longest_seconds: float = LONGEST_SECONDS,
 ) -> None:
     """Raise RecordingError for a measured channel that is the same for more than `longest_seconds` of moving joints; 0:
-    never.
+    never. A coarse and slow gauge on a steady walk is not refused (`coarse`).
 
     measured: names of what only the robot gives; where: begins the message; slow: of gauges whose readings are held,
     name -> seconds between two of them, by which that is more, and for which one may stand, which is not refused.
     Nothing is said of voltages, which may stay as they are within the resolution of a cheap monitor, of what
     `may_be_constant`, nor of a log without joints.
     """
-    walks = moving(channels, rate_hz)
-    if walks is None or longest_seconds == 0:
+    pace = pace_of(channels, rate_hz)
+    if pace is None or longest_seconds == 0:
         return
+    walks = pace > MOVING
+    single = [one for one in channels.values() if one.values.shape == pace.shape and is_voltage(one.channel.unit)]
+    walk = Walk(walks, pace, [one.values for one in single], rate_hz)
     for name in measured:
         series = channels[name]
-        if series.channel.may_be_constant or len(series.values) != len(walks) or _volts(series.channel.unit):
+        if series.channel.may_be_constant or len(series.values) != len(walks) or is_voltage(series.channel.unit):
             continue
         values = series.values.reshape(len(walks), -1).astype(np.float64)
-        same = (np.abs(np.diff(values, axis=0)) <= SAME * np.abs(values).max()).all(axis=1)
+        tolerance = SAME * float(np.abs(values).max())
+        same = (np.abs(np.diff(values, axis=0)) <= tolerance).all(axis=1)
         period, stands = (slow or {}).get(name, (0.0, 0.0))
         longest = max(longest_seconds + period, stands)
         for first, last in runs_of(np.asarray(same)):
             moved = float(walks[first + 1 : last + 1].sum()) / rate_hz
+            coarse = moved > longest and values.shape[1] == 1
+            if coarse and stands_by_resolution(values[:, 0], (first, last), walk, longest, tolerance):
+                continue
             if moved > longest:
                 number = f"{values[first, 0]:g} {series.channel.unit}"
                 stays = f"is {number}" if values.shape[1] == 1 else "keeps the numbers of all its components"
@@ -66,7 +74,8 @@ def check_read(
                 )
 
 
-def _volts(unit: str) -> bool:
+def is_voltage(unit: str) -> bool:
+    """Whether it is a unit of voltages, such as V or mV."""
     try:
         units.conversion(unit, "V")
     except RecordingError:

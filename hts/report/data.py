@@ -112,19 +112,13 @@ NO_FIT = (
 def read_run(folder: Path) -> RunData:
     """Read a run folder. Raises RunError if there is no summary.json, or a file in it cannot be read."""
     folder = Path(folder)
-    path = folder / "summary.json"
-    if not path.is_file():
+    if not (folder / "summary.json").is_file():
         if (folder / "config.yaml").is_file():
             raise RunError(
                 f"{folder}: this run is not finished (no summary.json). Go on with it: `{resume_command(folder)}`."
             )
         raise RunError(f"{folder}: holds no run (no summary.json). Give the folder that `hts run` named at its end.")
-    summary = _shaped(
-        path,
-        Summary,
-        f"If it was a finished run's, delete it and `{resume_command(folder)}`: it is written again. Else give the "
-        "folder that `hts run` named at its end.",
-    )
+    summary = read_summary(folder)
     return RunData(
         folder=folder,
         summary=summary,
@@ -145,6 +139,16 @@ def read_run(folder: Path) -> RunData:
             Evaluation,
             f"Delete it; `hts evaluate {folder}` compares anew and writes another.",
         ),
+    )
+
+
+def read_summary(folder: Path) -> Json:
+    """summary.json of a run folder, {} if there is none. Raises RunError for one that is not what a run writes."""
+    return _shaped(
+        folder / "summary.json",
+        Summary,
+        f"If it was a finished run's, delete it and `{resume_command(folder)}`: it is written again. Else give the "
+        "folder that `hts run` named at its end.",
     )
 
 

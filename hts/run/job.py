@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
@@ -228,7 +229,7 @@ class Job:
     def world(self) -> World:
         """Where policies run "for real"."""
         command = resume_command(self.folder)
-        world = world_of(self.config, self.registry, self.folder / "world", command=command)
+        world = world_of(self.config, self.registry, self.world_folder, command=command)
         if self.hold is not None:
             ask_to_hold(world, self.hold)
         return world
@@ -329,6 +330,11 @@ class Job:
             ids += self.read("test", earlier)["recordings"]
         return ids
 
+    @property
+    def world_folder(self) -> Path:
+        """Where the world may write."""
+        return self.folder / "world"
+
     def watch(self, report: Report) -> None:
         """Let the world report its progress."""
         self.world.on_progress(report)
@@ -336,6 +342,8 @@ class Job:
     def close(self) -> None:
         if "world" in self.__dict__:
             self.world.close()
+            with contextlib.suppress(OSError):  # what a world kept for itself is still there
+                self.world_folder.rmdir()
 
 
 def _same_machine(before: Mapping[str, str], now: Mapping[str, str]) -> bool:

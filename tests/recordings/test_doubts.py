@@ -39,7 +39,8 @@ def test_each_kind_is_told_once_with_the_first_that_has_it():
 
 def test_all_that_an_import_doubts_is_among_them():
     found = set()
-    for name in ("pd_torque", "base_speed", "joint_work", "repeated", "attitude", "axes", "feet", "temperatures"):
+    of_values = ("pd_torque", "base_speed", "joint_work", "repeated", "attitude", "axes", "feet", "temperatures")
+    for name in (*of_values, "exchanged"):
         text = (Path(hts.recordings.__file__).parent / f"{name}.py").read_text()
         found |= set(re.findall(r'return \{\s*"(\w+)": ', text))
     paused = {field_pause.NOTE, field_pause.ORDER_NOTE, field_pause.OVERLAP_NOTE}

@@ -10,8 +10,11 @@ from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.errors import RecordingError
 from hts.recordings import Recording, Series
+from hts.recordings.feet import foot_notes
 from hts.recordings.leg_speed import leg_speed
 from hts.recordings.logs import velocity_notes
+from hts.recordings.plausible import check_facts
+from hts.recordings.robot_model import robot_model
 
 RATE, SPEED, SWING = 50, 0.5, 0.2  # Hz, m/s, rad
 SAMPLES = 8 * RATE
@@ -69,3 +72,17 @@ def test_what_the_legs_cannot_tell_is_taken_as_before(robot):
     still = np.zeros((SAMPLES, 12))
     rolls = {**log.channels, "joint_position": Series(log.channels["joint_position"].channel, still)}
     assert "base_velocity_scale" in velocity_notes(log.replace(channels=rolls), robot, "01.csv")
+
+
+def test_all_that_looks_at_a_log_and_at_the_next_one_shares_one_compiled_model(robot, monkeypatch):
+    """Built twice: to see whether there is one, and to compile it."""
+    machine, built = type(robot)(robot.settings), []
+    make = machine.mjcf
+    monkeypatch.setattr(machine, "mjcf", lambda: built.append(1) or make())
+    log = walk(machine).replace(mass_kg=12.7)
+    for _ in range(2):
+        check_facts(log, machine, "01.csv")
+        assert leg_speed(log, machine) is not None and foot_notes(log, machine) == {}
+    assert len(built) == 2
+    assert foot_notes(log, robot) == {} and len(built) == 2  # another robot has its own
+    assert robot_model(machine).ngeom == robot_model(robot).ngeom and robot_model(robot) is not robot_model(machine)

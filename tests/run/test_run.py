@@ -64,6 +64,8 @@ def test_a_run_leaves_the_folder_that_was_promised(small_run):
     left = [path for path in small_run.folder.rglob("*") if path.name.endswith((".tmp", ".partial", ".part"))]
     assert left == []
     assert not list(small_run.folder.rglob("checkpoint*")) and not list(small_run.folder.rglob(".partial*"))
+    folders = [path for path in small_run.folder.iterdir() if path.is_dir()]
+    assert [path.name for path in folders if not any(path.iterdir())] == []  # such as that of a world that kept nothing
 
 
 def test_the_summary_has_what_others_read_of_it(small_run):

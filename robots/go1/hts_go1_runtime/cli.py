@@ -29,6 +29,7 @@ from hts_go1_runtime.udp import UdpLink
 
 DONE, REFUSED, STOPPED = 0, 2, 3
 VOUCH = f"{LEAST_DIGITS} digits or more of the hash of a policy that failed the gate and that you want walked"
+ROW_SENSORS = "the pack's current, or the trunk's speed while it walks,"
 EXTERNAL = "a measured channel that the robot does not give, and that a sensor of its own logs meanwhile"
 
 
@@ -85,12 +86,12 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
     )
     with alone(bundle.logs), contextlib.closing(UdpLink(options.link, options.lockstep)) as link:
         loop = Loop(link, 1 / bundle.rate_hz, limits, StopFile(stop))
-        with contextlib.closing(Events(bundle.logs / "events.jsonl")) as events:
+        with signals(loop.brake), contextlib.closing(Events(bundle.logs / "events.jsonl")) as events:
             session = Session(bundle, link, loop, asked, events)
             if options.priority and not options.lockstep and (why := hurry(options.priority)):
                 events.say("no real-time priority", why=why)
             try:
-                with signals(loop.brake), without_collection():
+                with without_collection():
                     session.run(lambda text: _confirm(text, options.yes, loop, events))
             except (RuntimeFault, Stopped):
                 raise
@@ -214,7 +215,7 @@ def _parser() -> argparse.ArgumentParser:
         type=frozen,
         help="for which joints or IMU may repeat themselves (default: the bundle's); 0: ever",
     )
-    run.add_argument("--frozen-real-seconds", type=frozen, help="for which the pack's current may, in a row; 0: ever")
+    run.add_argument("--frozen-real-seconds", type=frozen, help=f"for which {ROW_SENSORS} may, in a row; 0: ever")
     run.add_argument("--yes", action="store_true", help="begin without asking")
     bench = commands.add_parser("bench", help="step times and stops on this computer, against a made-up robot")
     bench.add_argument("bundle", type=Path)

@@ -8,8 +8,8 @@ A channel is frozen where it has given one value, to the last digit, for `SEEN` 
 
 so a robot that lies or stands still, or whose motors idle, is never stopped by it, nor one whose speeds come in coarse
 words. Nothing else of a state is looked at: feet, charge, voltage and temperatures may stay as they are for long, a
-torque at its limit does, and the trunk's speed is another sensor's (`trimming`). A clock that stands still is noticed
-as states that come ever later.
+torque at its limit does, and the trunk's speed is another sensor's (below, and `trimming`). A clock that stands still
+is noticed as states that come ever later.
 
 Where SEEN comes from: logs of a Go2 that walks, under its own controller, with a leg held back by a wire, and under a
 learned policy (29 s, 400 to 500 rows a second): a joint's position gave one value for 32 ms at most, its speed for 14,
@@ -19,13 +19,16 @@ Simulated robots (default twin and 16 realities, 22 s each at 0 to 1.3 m/s) came
 
 What only the robot gives, the current of its pack, is slower: of a Go2 that stood still it gave one value for 0.88 s at
 most, of the simulated ones for 0.96, and for 1.24 with the slowest and coarsest gauge that is drawn. A row in which it
-repeats itself for `REAL` s tells little, so it ends the visit sitting (`Repeats`). So does a channel that was measured
-at first and holds no numbers for as long (`Missing`): no reader takes such a row, and no limit is seen in it.
+repeats itself for `REAL` s tells little, so it ends the visit sitting (`Repeats`). So does the trunk's speed in a row
+of a comparison, by which the row's seconds count: a tracker that has lost the robot repeats where it was last. So does
+a channel that was measured at first and holds no numbers for as long (`Missing`): no reader takes such a row, and no
+limit is seen in it.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable
 
 import numpy as np
@@ -43,6 +46,15 @@ CHANNELS = (
     *(f"joint_velocity of {joint}" for joint in JOINTS),
     "angular_velocity",
     "projected_gravity",
+)
+OVER, MOVING = 1.0, 0.5  # s; rad/s, root mean square of all joints: `hts` asks the same of the rows that it reads
+READ_AGAIN = (
+    "Start the robot's own process that reads it again, then run the same again; for a monitor that is as slow as that "
+    "there is --frozen-real-seconds."
+)
+SEE_AGAIN = (
+    "See that its sensor sees the robot all along the track, then run the same again; for one that is as slow as that "
+    "there is --frozen-real-seconds."
 )
 _TARGETS = np.concatenate([np.eye(J, dtype=bool), np.zeros((J, J), dtype=bool), np.ones((2, J), dtype=bool)])
 """Whose targets should change a channel, (channels, J)."""
@@ -105,28 +117,59 @@ class Frozen:
 
 
 class Repeats:
-    """Looks at a number a step that only the robot gives. seconds: after which it must have changed; 0: never."""
+    """Looks at what only the robot gives, a reading a step. seconds: after which it must have changed; 0: never.
+    remedy: ends the line, what to do."""
 
-    def __init__(self, channel: str, seconds: float) -> None:
-        self._channel, self._seconds = channel, seconds
-        self._last, self._since = math.nan, 0.0
+    def __init__(self, channel: str, seconds: float, remedy: str = READ_AGAIN) -> None:
+        self._channel, self._seconds, self._remedy = channel, seconds, remedy
+        self._last = np.array([math.nan])
+        self._since = self._before = self._stood = 0.0
 
-    def see(self, value: float, now: float) -> None:
-        """A step's reading; NaN, where there is none, is looked at by who reads the log.
+    def see(self, reading: float | np.ndarray, now: float, counts: bool = True) -> None:
+        """A step's reading, a number or (n,) of them, which are looked at together; NaN, where there is none, is looked
+        at by who reads the log. counts: whether it should have changed since the step before.
 
         Raises RuntimeFault for one that repeats itself for too long.
         """
-        if not self._seconds or not math.isfinite(value):
+        values = np.atleast_1d(reading)
+        if not self._seconds or not np.isfinite(values).all():
             return
-        if value != self._last:
-            self._last, self._since = value, now
-        elif now - self._since >= self._seconds - CLOSE:
+        since_before, self._before = now - self._before, now
+        if not np.array_equal(values, self._last):
+            self._last, self._since, self._stood = values, now, 0.0
+            return
+        self._stood += since_before if counts else 0.0
+        if self._stood >= self._seconds - CLOSE:
+            shown = ", ".join(f"{value:g}" for value in values)
             raise RuntimeFault(
-                f"{self._channel} has been {value:g} to the last digit for {now - self._since:.1f} s of a row, since "
-                f"time {self._since:.3f}: it is not being read, and the row would tell nothing. Start the robot's own "
-                "process that reads it again, then run the same again; for a monitor that is as slow as that there is "
-                "--frozen-real-seconds."
+                f"{self._channel} has been {shown if len(values) == 1 else f'({shown})'} to the last digit for "
+                f"{self._stood:.1f} s of a row, since time {self._since:.3f}: it is not being read, and the row would "
+                f"tell nothing. {self._remedy}"
             )
+
+
+class RowSensors:
+    """What has to go on measuring while a row is recorded. channels: those of its log; current, speed: s for which the
+    pack's current, and the trunk's speed while the joints move, may repeat themselves; 0: for ever."""
+
+    def __init__(self, channels: Iterable[str], current: float, speed: float) -> None:
+        self._missing = Missing(channels)
+        self._current = Repeats("battery_current", current)
+        self._speed = Repeats("base_velocity", speed, SEE_AGAIN)
+        self._squares = deque[tuple[float, float]]()
+
+    def see(self, state: State) -> None:
+        """A step's state. Raises RuntimeFault where one of them no longer measures."""
+        self._current.see(state.current, state.received)
+        self._speed.see(state.velocity, state.received, self._moving(state))
+        self._missing.see(state)
+
+    def _moving(self, state: State) -> bool:
+        """Whether the joints move, in the mean over the last OVER s: within a stride all may be slow for a moment."""
+        self._squares.append((state.received, float(np.mean(state.dq**2))))
+        while self._squares[0][0] < state.received - OVER:
+            self._squares.popleft()
+        return sum(square for _, square in self._squares) > len(self._squares) * MOVING**2
 
 
 class Missing:

@@ -16,7 +16,7 @@ from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
 from hts_go1_runtime.first_run import FirstRun, walked_before
-from hts_go1_runtime.frozen import Missing, Repeats
+from hts_go1_runtime.frozen import Missing, RowSensors
 from hts_go1_runtime.gated import vouched_for
 from hts_go1_runtime.held import FILE, read_held, written
 from hts_go1_runtime.idle import Readings, changed, check_read, levels, readings
@@ -265,12 +265,11 @@ class Session:
         log = RowLog(self.bundle.logs, row.log, self._channels, self._described(row))
         self._wanted_heading = None
         policy.start()
-        current, recorded = Repeats("battery_current", self._current_may_repeat()), Missing(self._channels)
+        sensors = self._sensors(row)
         try:
             for command in commands:
                 state = self._step(policy, command, log)
-                current.see(state.current, state.received)
-                recorded.see(state)
+                sensors.see(state)
                 self._keeper.check(log)
         except Exception as ended:
             if fell(ended, row, log.rows):
@@ -281,12 +280,14 @@ class Session:
         log.closing()
         self._keeper.walked(log, row)
 
-    def _current_may_repeat(self) -> float:
-        """For how long the pack's current may, s; 0, for ever, where nobody asked for it or another sensor logs it."""
-        if "battery_current" in self.options.external or "battery_current" not in self.bundle.manifest["channels"]:
-            return 0.0
-        asked = self.options.frozen_real_seconds
-        return self.bundle.frozen.real if asked is None else asked
+    def _sensors(self, row: Row) -> RowSensors:
+        """What has to go on measuring in a row: the current where somebody asked for it, the speed where rows are
+        compared; not what another sensor logs."""
+        asked, external = self.options.frozen_real_seconds, self.options.external
+        seconds = self.bundle.frozen.real if asked is None else asked
+        current = "battery_current" in self.bundle.manifest["channels"] and "battery_current" not in external
+        speed = row.role != "collection" and "base_velocity" not in external
+        return RowSensors(self._channels, seconds if current else 0.0, seconds if speed else 0.0)
 
     def _trim(self, policy: Policy, row: Row) -> tuple[float, bool]:
         hold = self.bundle.hold

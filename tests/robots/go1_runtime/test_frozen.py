@@ -13,7 +13,7 @@ import pytest
 from hts_go1_runtime.bundle import FrozenSeconds, load_bundle
 from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.fake import noisy, standing
-from hts_go1_runtime.frozen import Frozen, Repeats
+from hts_go1_runtime.frozen import Frozen, Repeats, RowSensors
 from hts_go1_runtime.link import NOTHING, Command
 from hts_go1_runtime.loop import Loop
 from hts_go1_runtime.machine import STAND, Limits
@@ -193,6 +193,68 @@ def test_a_slow_monitor_and_one_that_nobody_reads_are_let_be():
         current.see(22.0, 0.02 * number)
     with pytest.raises(RuntimeFault, match=r"has been 22 to the last digit for 3\.0 s of a row, since time 19\.000"):
         current.see(22.0, 22.0)
+
+
+STEPS = 0.02
+"""s."""
+
+
+def until_refused(velocity, speed=lambda now: 2.0, seconds=8.0, may=3.0):
+    """When a row ends whose trunk has velocity(now), (3,), and whose joints all have speed(now); None: not at all."""
+    sensors = RowSensors(["base_velocity"], 0.0, may)
+    for number in range(round(seconds / STEPS)):
+        now = STEPS * number
+        shown = {"velocity": np.array(velocity(now)), "dq": np.full(12, speed(now))}
+        try:
+            sensors.see(dataclasses.replace(standing(number, now), received=now, **shown))
+        except RuntimeFault as fault:
+            return now, str(fault)
+    return None
+
+
+def test_a_speed_of_the_trunk_that_repeats_itself_while_the_joints_move_ends_the_row():
+    at, said = until_refused(lambda now: (min(now, 2.0), 0.25, 0.0))
+    assert at == pytest.approx(5.0)
+    assert said.startswith("base_velocity has been (2, 0.25, 0) to the last digit for 3.0 s of a row, since time 2.000")
+    assert "See that its sensor sees the robot all along the track" in said and "--frozen-real-seconds" in said
+    assert until_refused(lambda now: (0.5, 0.0, now)) is None  # one of its numbers changes
+    assert until_refused(lambda now: (int(now), 0.0, 0.0)) is None  # a camera of one a second
+    assert until_refused(lambda now: (0.5, 0.0, 0.0), may=0.0) is None
+    assert until_refused(lambda now: (np.nan,) * 3, seconds=2.9) is None  # who has none at all is told so
+
+
+def test_seconds_in_which_the_robot_stands_are_no_reason_for_its_speed_to_change():
+    """It stands from 1 to 5 s, and of these still walks in the mean over the last second until 1.94."""
+    stops = (lambda now: (0.0, 0.0, 0.0)), (lambda now: 2.0 * (not 1.0 <= now < 5.0))
+    assert until_refused(*stops, seconds=5.0) is None
+    at, said = until_refused(*stops)
+    assert 5.9 < at < 6.2 and "3.0 s of a row, since time 0.000" in said
+
+
+def still_from(moment):
+    return lambda state: dataclasses.replace(state, velocity=np.full(3, 0.5)) if state.stamp > moment else state
+
+
+WALKING = 6.5
+"""s: the trimming of the first row is over."""
+
+
+def test_a_tracker_that_loses_the_robot_within_a_row_ends_the_visit_sitting(change, visit, capsys):
+    bundle = change(lambda manifest: manifest["frozen"].__setitem__("real_seconds", 0.4))
+    assert visit("--yes", link=scripted.ScriptedLink(still_from(WALKING))) == 2
+    shown = capsys.readouterr()
+    assert "base_velocity has been (0.5, 0.5, 0.5) to the last digit for 0.4 s of a row" in shown.err
+    assert "sat down" in shown.out and not list((bundle / "logs").glob("*.csv"))
+
+
+def test_first_data_are_not_compared_so_their_speed_may_repeat_itself(change, visit):
+    def edit(manifest):
+        manifest["frozen"]["real_seconds"] = 0.4
+        for row in manifest["rows"]:
+            row["role"] = "collection"
+
+    change(edit)
+    assert visit("--yes", link=scripted.ScriptedLink(still_from(0.5))) == 0
 
 
 # ---------------------------------------------------------------------- the bundle's word

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hts_go1_runtime import cli
 from hts_go1_runtime.errors import Stopped
 from hts_go1_runtime.link import DAMPING, Command
 from hts_go1_runtime.loop import Loop
@@ -58,6 +59,65 @@ def test_a_signal_while_a_command_is_being_sent_leaves_the_damping_command_as_th
     assert signal.getsignal(number) is before
     assert link.sent[-1][1] is DAMPING
     assert len(link.sent) == 12  # nine steps, one damping command, the step in the midst of which it came, another
+
+
+INTERRUPTED = """
+import os, runpy, signal, sys
+moment = sys.argv.pop(1)
+class Stop:
+    def find_spec(self, name, path=None, target=None):
+        if name == moment:
+            try: os.kill(os.getpid(), signal.SIGINT)
+            except KeyboardInterrupt as error: raise ImportError("initialization failed") from error
+signal.signal(signal.SIGINT, signal.default_int_handler)  # the suite may ignore it
+sys.meta_path.insert(0, Stop())
+if moment == "the bundle":
+    from hts_go1_runtime import cli
+    def stopped(folder): os.kill(os.getpid(), signal.SIGINT)
+    cli.load_bundle = stopped
+runpy.run_module("hts_go1_runtime", run_name="__main__", alter_sys=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("moment", "said"),
+    [
+        ("numpy", "interrupted: the runtime had not begun, nothing has moved\n"),
+        ("hts_go1_runtime.cli", "interrupted: the runtime had not begun, nothing has moved\n"),
+        ("the bundle", "interrupted: the robot is not being moved\n"),
+    ],
+)
+def test_ctrl_c_before_a_robot_is_met_is_one_line(tmp_path, moment, said):
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
+    command = [sys.executable, "-c", INTERRUPTED, moment, "check", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert (done.returncode, done.stderr, done.stdout) == (130, said, "")
+
+
+def test_ctrl_c_while_the_session_is_made_is_the_operators_key(visit, bundle, monkeypatch, capsys):
+    """And while it is wound up it does no harm."""
+    session, figures = cli.Session, cli.figures
+
+    def made(*arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+        return session(*arguments)
+
+    def wound_up(*arguments):
+        os.kill(os.getpid(), signal.SIGINT)
+        return figures(*arguments)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # the suite may ignore it
+    try:
+        with monkeypatch.context() as late:
+            late.setattr(cli, "figures", wound_up)
+            assert visit("--yes") == 0
+        for log in (bundle / "logs").glob("*.csv"):
+            log.unlink()
+        monkeypatch.setattr(cli, "Session", made)
+        assert visit("--yes") == 3
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err.startswith("stopped: operator: signal SIGINT. The robot is damped")
 
 
 VISIT = """
