@@ -13,12 +13,8 @@ from hts.errors import ConfigError
 if TYPE_CHECKING:
     from hts.bench import Sizes
 
-app = typer.Typer(
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    no_args_is_help=True,
-    help="Speed against bare physics: the engine alone replaying the states and actions that were collected.",
+app = options.group(
+    "Speed against bare physics: the engine alone replaying the states and actions that were collected."
 )
 
 RobotName = Annotated[

@@ -8,12 +8,7 @@ import typer
 
 from hts.cli import options
 
-app = typer.Typer(
-    add_completion=False,
-    rich_markup_mode=None,
-    no_args_is_help=True,
-    help="The resolved configuration, or its JSON schema.",
-)
+app = options.group("The resolved configuration, or its JSON schema.")
 
 
 @app.command()

@@ -15,13 +15,7 @@ if TYPE_CHECKING:
     from hts.recordings.recording import Recording
     from hts.recordings.store import RecordingStore
 
-app = typer.Typer(
-    help="Look into a recording store: ls, show, compare, validate, lag, enough; export it.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = options.group("Look into a recording store: ls, show, compare, validate, lag, enough; export it.")
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The store, such as RUN/data.zarr.")]
 AsJson = Annotated[bool, typer.Option("--json", help="As JSON, for programs.")]

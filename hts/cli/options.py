@@ -52,3 +52,8 @@ POLICIES = "best, pretrained, a candidate's id"
 
 NAMES = {"seed": "--seed", "reward_source": "--reward", "start": "--start"}
 """Key of a configuration -> the option above, or of a single command, that gives it: what a message names."""
+
+
+def group(text: str) -> typer.Typer:
+    """A command that has commands of its own; text: of its help."""
+    return typer.Typer(help=text, no_args_is_help=True, add_completion=False, rich_markup_mode=None)

@@ -15,13 +15,7 @@ from hts.cli import options
 if TYPE_CHECKING:
     from hts.worlds.realities.like import Likeness
 
-app = typer.Typer(
-    help="Plausible twins: draw, show, check, list, ranges, posterior, expect.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = options.group("Plausible twins: draw, show, check, list, ranges, posterior, expect.")
 
 Which = Annotated[str, typer.Argument(metavar="FILE|NAME", help="A reality's file, or its name (see list).")]
 AsJson = Annotated[bool, typer.Option("--json", help="As JSON, for programs.")]
