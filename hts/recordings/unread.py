@@ -46,7 +46,8 @@ def check_read(
         return
     for name in measured:
         series = channels[name]
-        if series.channel.may_be_constant or len(series.values) != len(walks) or _volts(series.channel.unit):
+        unit = series.channel.unit
+        if series.channel.may_be_constant or len(series.values) != len(walks) or units.one_quantity(unit, "V"):
             continue
         values = series.values.reshape(len(walks), -1).astype(np.float64)
         same = (np.abs(np.diff(values, axis=0)) <= SAME * np.abs(values).max()).all(axis=1)
@@ -55,7 +56,7 @@ def check_read(
         for first, last in runs_of(np.asarray(same)):
             moved = float(walks[first + 1 : last + 1].sum()) / rate_hz
             if moved > longest:
-                number = f"{values[first, 0]:g} {series.channel.unit}"
+                number = f"{values[first, 0]:g} {unit}"
                 stays = f"is {number}" if values.shape[1] == 1 else "keeps the numbers of all its components"
                 raise RecordingError(
                     f"{where}: '{name}' {stays} from {first / rate_hz:.2f} to "
@@ -64,11 +65,3 @@ def check_read(
                     f"log there; if '{name}' may honestly stand still for so long, say may_be_constant: true of it in "
                     "the mapping, or for how long there: frozen_real_seconds."
                 )
-
-
-def _volts(unit: str) -> bool:
-    try:
-        units.conversion(unit, "V")
-    except RecordingError:
-        return False
-    return True
