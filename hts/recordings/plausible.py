@@ -135,10 +135,9 @@ def check_facts(recording: Recording, robot: Robot, where: str) -> None:
                 )
     if recording.mass_kg is None or robot.mjcf() is None:
         return
-    from hts.sim.models import compile_model
+    from hts.sim.models import compile_model, moving_mass
 
-    model = compile_model(robot)
-    mass = float(model.body_mass[model.body_weldid != 0].sum())  # of what can move
+    mass = moving_mass(compile_model(robot))
     if mass > 0 and not 1 / MASS_FACTOR <= recording.mass_kg / mass <= MASS_FACTOR:
         raise RecordingError(
             f"{where}: recording.mass_kg is {recording.mass_kg:g} kg, the model of '{robot.spec.name}' has {mass:.3g} "
