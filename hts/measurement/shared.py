@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hts.measurement.split import named_part, stretches
+from hts.measurement.split import named_part
 from hts.recordings.header import array_digest
+from hts.recordings.repeated import runs_of
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -103,7 +104,7 @@ def without_shared(
         wide = np.convolve(marked, np.ones(2 * margin + 1), "same") > 0.5 if marked.any() else marked
         kept += [
             named_part(recording, a, b)
-            for a, b in stretches(~wide)
+            for a, b in runs_of(~wide)
             if not wide.any() or b - a >= LEAST_SECONDS * recording.rate_hz
         ]
     removed = sum(one.num_samples for one in training) - sum(one.num_samples for one in kept)
