@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hts.measurement.proxy import has_proxy, proxy_along, proxy_series
-from hts.measurement.scoring import Trace, scores, unscored, varies
+from hts.measurement.scoring import Trace, one_a_sample, scores, unscored, varies
 
 if TYPE_CHECKING:
     from hts.contracts import Objective, Signals
@@ -92,10 +92,10 @@ def fit_best(
     """The stand-in, of those named, whose line has the least squared error on the training recordings."""
     fits = {}
     for name, formula in candidates.items():
-        pairs = [
-            (formula({key: one.values(key) for key in one.channels}).astype(np.float64), _target(one, target), one)
-            for one in training
-        ]
+        pairs = []
+        for one in training:
+            stand_in = formula({key: one.values(key) for key in one.channels}).astype(np.float64)
+            pairs.append((stand_in, one_a_sample(one, target), one))
         fits[name] = _fit_line(pairs, windows)
     best = min(fits, key=lambda name: fits[name][1])
     return best, fits[best][0]
@@ -110,7 +110,7 @@ def fit_proxy(
         proxy = proxy_along(objective, recording)
         if proxy is None:
             return None
-        pairs.append((proxy, _target(recording, objective.target.name), recording))
+        pairs.append((proxy, one_a_sample(recording, objective.target.name), recording))
     return _fit_line(pairs, windows)[0] if pairs else None
 
 
@@ -134,10 +134,6 @@ def _fit_line(
             if error < least:
                 best, least = ProxyFit(scale, offset, delay, window), error
     return best, least
-
-
-def _target(recording: Recording, name: str) -> np.ndarray:
-    return recording.values(name).reshape(-1).astype(np.float64)
 
 
 def _flat(values: np.ndarray) -> np.ndarray:
