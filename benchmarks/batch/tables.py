@@ -261,7 +261,7 @@ def gate(groups: Sequence[Group]) -> str:
     rows = []
     for group in groups:
         best = [result.best.gate for _, result in group.results if result.best is not None]
-        tried = [one.gate for _, result in group.results for one in result.tried]
+        tried = [one.gate for one in group.tried]
         rows.append([group.name, str(len(group.results)), *(_refused_of(asked) for asked in (best, tried))])
     return table(["method", "runs", "finals of who fails the gate", "elites that fail it"], rows)
 
