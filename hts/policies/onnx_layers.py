@@ -20,7 +20,7 @@ from hts.errors import PolicyError
 from hts.policies.card_checks import LARGEST_OBSERVATION, MOST_LAYERS, MOST_UNITS
 from hts.policies.export import CARD_KEY
 from hts.policies.files import Policy
-from hts.policies.onnx_checks import ACTIVATIONS, listed, read_checked
+from hts.policies.onnx_checks import ACTIVATIONS, listed, metadata_in, read_checked
 from hts.policies.onnx_metadata import metadata_of
 from hts.policies.onnx_ours import from_our_onnx
 from hts.policies.source import Source
@@ -44,7 +44,7 @@ PLAIN = "Only plain networks can be read."
 def from_onnx(path: Path, robot: RobotSpec, std: float) -> Policy | tuple[Network, Source]:
     """The policy of an exported file of ours, or the actor and what its metadata say. Raises PolicyError."""
     model = read_checked(path)
-    properties = {entry.key: entry.value for entry in model.metadata_props}
+    properties = metadata_in(model)
     if CARD_KEY in properties:
         return from_our_onnx(path, model, properties[CARD_KEY], robot, std)
     return network_of(path, model), metadata_of(path, properties)

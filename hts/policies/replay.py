@@ -24,7 +24,7 @@ import torch
 
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError
-from hts.policies.contract import Contract, known_joints, per_joint
+from hts.policies.contract import OF_JOINTS, Contract, known_joints, per_joint
 from hts.policies.importing import Imported
 from hts.policies.layers import FEWEST_EXAMPLES, TOLERANCE, actions_of, difference
 from hts.policies.position_control import (
@@ -85,7 +85,7 @@ class _Replay:
         self.maps = imported.maps
         self._check_columns()
         self.given = log.observation
-        values = {key: getattr(contract, key) for key in ("default_pose", "action_scale", "kp", "kd")}
+        values = {key: getattr(contract, key) for key in OF_JOINTS}
         self.pose, self.scale, self.kp, self.kd = (
             np.array(per_joint(path, key, value, names)) for key, value in values.items()
         )

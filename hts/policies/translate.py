@@ -23,8 +23,8 @@ from hts.errors import PolicyError, unknown_name
 from hts.policies.contract import Contract, known_joints, per_joint
 from hts.policies.layout import Layout, Seen
 from hts.policies.terms import ABSOLUTE, our_name
+from hts.rl.population import CLIP
 
-CLIP = 10.0  # of our normalised observations, as in `Population.normalised`
 # What may reach a policy, in our units: up to there a source without a clip must not meet ours.
 REACH = {
     "angular_velocity": 20.0,  # rad/s
