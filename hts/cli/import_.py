@@ -101,7 +101,8 @@ def command(
         typer.echo(printable(long), err=True)
     if figure is not None:
         draw(everything, figure)
-    stored = _dry(read) if dry_run or to is None else _store(to, groups, read)
+    none = [[("not stored", "")] * len(recordings) for recordings in read]
+    stored = none if dry_run or to is None else _store(to, groups, read)
     order = assumed_order(given, machine.spec.joint_names)
     for group, recordings, ids in zip(groups, read, stored, strict=True):
         for recording, (recording_id, again) in zip(recordings, ids, strict=True):
@@ -170,10 +171,6 @@ def _read(
     if refused:
         raise RecordingError(f"{str(refused[0]).rstrip('.')}. Nothing was stored.") from refused[0]
     return read
-
-
-def _dry(read: Sequence[Sequence[Recording]]) -> list[list[tuple[str, str]]]:
-    return [[("not stored", "") for _ in recordings] for recordings in read]
 
 
 def _store(to: Path, groups: Sequence[list[Path]], read: Sequence[Sequence[Recording]]) -> list[list[tuple[str, str]]]:

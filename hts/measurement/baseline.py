@@ -67,7 +67,7 @@ def stand_ins(objective: Objective, signals: Signals) -> dict[str, StandIn]:
     for one, two in itertools.combinations(sizes, 2):
         if sizes[one] == sizes[two]:
             found[f"Σ|{one}·{two}|"] = partial(_sum_of, one, two, np.abs)
-            found[f"Σ max({one}·{two}, 0)"] = partial(_sum_of, one, two, _positive)
+            found[f"Σ max({one}·{two}, 0)"] = partial(_sum_of, one, two, partial(np.maximum, 0.0))
     return found
 
 
@@ -80,10 +80,6 @@ def _sum_of(
     """Σ over components of a channel, or of its product with another, each bent by `shape`: (T,)."""
     values = _flat(channels[first])
     return shape(values if second is None else values * _flat(channels[second])).sum(1)
-
-
-def _positive(values: np.ndarray) -> np.ndarray:
-    return np.maximum(values, 0.0)
 
 
 def fit_best(

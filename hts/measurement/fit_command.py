@@ -213,7 +213,8 @@ def fit_store(
     dataset = store.dataset([one.id for one in recordings])
     parts, shared, untested = _split(objective, recordings, checks, config, wanted.robot)
     candidates = Candidates(objective, settings["objectives"], registry, parts.training[0], config, progress)
-    spec = _spec(registry, parts.training[0])
+    robot = recordings[0].robot  # of all of them
+    spec = registry.make_robot(robot).spec if robot in registry.robots else None
     choice, rows, tried = compared(candidates, parts, checks.models, checks.best, spec, say)
     say(f"fitting {choice.name}")
     how = replace(candidates.how, progress=progress)
@@ -324,11 +325,6 @@ def _split(
             "split one store with --split chronological=0.7."
         )
     return replace(parts, training=training), shared, untested
-
-
-def _spec(registry: Registry, recording: Recording) -> RobotSpec | None:
-    """Of the robot that made a recording, if it is installed."""
-    return registry.make_robot(recording.robot).spec if recording.robot in registry.robots else None
 
 
 # --------------------------------------------------------------------------------------------------- settings

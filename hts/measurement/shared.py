@@ -6,7 +6,6 @@ at other rates, or resampled at other instants, have no samples in common that c
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -56,10 +55,11 @@ def shared_samples(
     step[step == 0] = 1.0
     rows = np.ascontiguousarray(np.round(joined / step).astype(np.int64))
     _, number = np.unique(rows.view(np.dtype((np.void, rows.shape[1] * 8))).ravel(), return_inverse=True)
-    edges = np.cumsum([0, *(len(table) for table in tables)])
-    numbers = [number[a:b] for a, b in itertools.pairwise(edges)]
+    numbers = np.split(number, np.cumsum([len(table) for table in tables])[:-1])
     split = len(training)
-    left, right = (set().union(*map(_windows, part)) for part in (numbers[:split], numbers[split:]))
+    left, right = (
+        {window.tobytes() for one in part for _, window in _varied(one)} for part in (numbers[:split], numbers[split:])
+    )
     both = left & right
     marked = [_marked(one, both) for one in numbers]
     return marked[:split], marked[split:]
@@ -109,10 +109,6 @@ def without_shared(
         ]
     removed = sum(one.num_samples for one in training) - sum(one.num_samples for one in kept)
     return kept, Shared(found.held_out, found.of, removed)
-
-
-def _windows(numbers: np.ndarray) -> set[bytes]:
-    return {window.tobytes() for _, window in _varied(numbers)}
 
 
 def _marked(numbers: np.ndarray, both: set[bytes]) -> np.ndarray:
