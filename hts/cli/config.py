@@ -24,22 +24,10 @@ def show(
     seed: options.Seed = None,
 ) -> None:
     """Print the configuration that `hts run` with the same options would use, as YAML, settings of plugins included."""
-    from hts.config_loading import check_names, dump_config, load_config, with_plugin_defaults
-    from hts.plugins import load
+    from hts.config_loading import check_names, dump_config, with_plugin_defaults
 
-    registry = load()
-    resolved = load_config(
-        preset=preset,
-        file=config,
-        objectives=objective or (),
-        robot=robot,
-        world=world,
-        engine=engine,
-        executor=executor,
-        seed=seed,
-        overrides=set_ or (),
-        registry=registry,
-        option_names=options.NAMES,
+    registry, resolved = options.configured(
+        objective, robot, preset, world, config, set_, engine=engine, executor=executor, seed=seed
     )
     check_names(resolved, registry)
     typer.echo(dump_config(with_plugin_defaults(resolved, registry)), nl=False)
