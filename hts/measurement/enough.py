@@ -242,8 +242,7 @@ def _too_wrong(held_out: Sequence[HeldOut], found: float | None, by_policy: bool
         if abs(worst.mean_error) > 0.5 * spread:
             lines.append(
                 f"the level of policy {worst.policy[:8] or '(unnamed)'} is missed by {worst.mean_error:+.3g} {unit}, "
-                "more "
-                f"than half of what policies differ by ({spread:.3g} {unit}): record policies that differ more, or "
-                "longer"
+                f"more than half of what policies differ by ({spread:.3g} {unit}): record policies that differ more, "
+                "or longer"
             )
     return lines

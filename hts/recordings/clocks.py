@@ -62,9 +62,8 @@ def clock_offset(
         other = lags[int(np.argmax(np.where(np.abs(np.arange(len(scores)) - at) > width, scores, -1)))]
         raise RecordingError(
             f"two offsets of the clocks fit nearly equally well (correlation {best:.3f} and {rival:.3f}, "
-            f"{abs(other - lags[at]) / rate_hz:.2f} s apart), as in a steady gait. Include a start, a stop or a "
-            "knock in "
-            "both logs, or name another signal."
+            f"{abs(other - lags[at]) / rate_hz:.2f} s apart), as in a steady gait. Include a start, a stop or a knock "
+            "in both logs, or name another signal."
         )
     begin = float(times[0]) - float(other_times[0])
     offset = begin + (lags[at] + _vertex(scores, at)) / rate_hz

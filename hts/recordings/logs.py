@@ -140,8 +140,7 @@ def recording_from_tables(
         where = ", ".join(str(path) for path in files)
         raise RecordingError(
             f"{where}: {len(recordings)} runs, where one recording is read. Take one by `runs` or `labels`; a reader "
-            "of "
-            "several has a `read_all` with recordings_from_columns."
+            "of several has a `read_all` with recordings_from_columns."
         )
     return recordings[0]
 

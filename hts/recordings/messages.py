@@ -188,9 +188,8 @@ def _decoder(path: Path, topic: str, raw: _Raw, definitions: Mapping[str, str]) 
         decode = DecoderFactory().decoder_for("cdr", Schema(id=1, name=raw.kind, encoding=encoding, data=text))
     if decode is None:
         raise RecordingError(
-            f"{path}: topic '{topic}' is written as '{raw.encoding}', expected ROS 2 messages (ros2msg, cdr). "
-            "Convert the "
-            "file, or give the definition under `definitions`."
+            f"{path}: topic '{topic}' is written as '{raw.encoding}', expected ROS 2 messages (ros2msg, cdr). Convert "
+            "the file, or give the definition under `definitions`."
         )
     return decode
 

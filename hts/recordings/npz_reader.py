@@ -54,9 +54,8 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
     for column, values in columns.items():
         if len(values) != len(columns[time]):
             raise RecordingError(
-                f"{path}: '{column}' has {len(values)} rows, the time '{time}' {len(columns[time])}. Expected one "
-                "row of "
-                "each a time step; name another."
+                f"{path}: '{column}' has {len(values)} rows, the time '{time}' {len(columns[time])}. Expected one row "
+                "of each a time step; name another."
             )
     return table_of(path, time, log.time.unit, wanted, columns, log.runs.column if log.runs else None)
 
@@ -72,9 +71,8 @@ def read_array(path: Path, name: str, file: zipfile.ZipFile, member: zipfile.Zip
             )
         if header + size != member.file_size:
             raise RecordingError(
-                f"{path}: '{name}' says it is {dtype} of shape {shape}, {size} bytes, but "
-                f"{member.file_size - header} are "
-                "there. The file is damaged; copy it again."
+                f"{path}: '{name}' says it is {dtype} of shape {shape}, {size} bytes, but {member.file_size - header} "
+                "are there. The file is damaged; copy it again."
             )
         if size > UNPACKED and size > MOST_SQUEEZED * member.compress_size:
             raise RecordingError(

@@ -70,8 +70,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: RosMapping) -> Tab
             what = " ".join(str(error).split())
             raise RecordingError(
                 f"{path}: message {count + 1} of '{topic}' does not give what the mapping asks for: {what:.160}. It "
-                "has "
-                f"{_fields(message.content)}."
+                f"has {_fields(message.content)}."
             ) from error
     if not stamps:
         raise no_topic(path, topic)
