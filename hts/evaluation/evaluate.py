@@ -209,12 +209,7 @@ def command_of(
 
 
 def in_sessions(
-    world: World,
-    policy: Path,
-    reference: Path,
-    speeds: Sequence[float],
-    sessions: int,
-    check: Check | None = None,
+    world: World, policy: Path, reference: Path, speeds: Sequence[float], sessions: int, check: Check | None = None
 ) -> list[Recording]:
     """A head-to-head, or as many as asked for. check: as `complete` does it. Raises EvaluationError for a world that
     makes one only."""

@@ -268,14 +268,7 @@ class _Measured:
             except (EvaluationError, PluginError):  # the means themselves could be compared
                 return math.nan
 
-        return interval_of(
-            drawn,
-            self._balance,
-            policy,
-            reference,
-            config.bootstrap,
-            seed,
-        )
+        return interval_of(drawn, self._balance, policy, reference, config.bootstrap, seed)
 
     @property
     def _balance(self) -> Balance:

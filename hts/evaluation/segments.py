@@ -108,11 +108,7 @@ class Segments:
         return np.asarray(recording.channels[channel].values)
 
 
-def cut(
-    recordings: Sequence[Recording],
-    speed_tolerance: float = 0.1,
-    task: Task = VELOCITY,
-) -> Segments:
+def cut(recordings: Sequence[Recording], speed_tolerance: float = 0.1, task: Task = VELOCITY) -> Segments:
     """Cut recordings into pieces of SEGMENT_SECONDS that do not overlap, and keep the valid ones.
 
     The first SETTLE_SECONDS of a recording and of every command are dropped and not counted (a world that knows

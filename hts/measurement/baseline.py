@@ -72,10 +72,7 @@ def stand_ins(objective: Objective, signals: Signals) -> dict[str, StandIn]:
 
 
 def _sum_of(
-    first: str,
-    second: str | None,
-    shape: Callable[[np.ndarray], np.ndarray],
-    channels: Mapping[str, np.ndarray],
+    first: str, second: str | None, shape: Callable[[np.ndarray], np.ndarray], channels: Mapping[str, np.ndarray]
 ) -> np.ndarray:
     """Σ over components of a channel, or of its product with another, each bent by `shape`: (T,)."""
     values = _flat(channels[first])

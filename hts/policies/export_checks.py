@@ -58,11 +58,7 @@ def recorded_observations(policy: Policy, store: Path) -> np.ndarray:
 
 
 def check_export(
-    policy: Policy,
-    path: Path,
-    format: str,
-    observations: Sequence[np.ndarray],
-    held: HeldCommands | None = None,
+    policy: Policy, path: Path, format: str, observations: Sequence[np.ndarray], held: HeldCommands | None = None
 ) -> float:
     """The largest difference between the actions of the file and of the policy, which sees the `held` commands in the
     place of the wanted speeds. Raises PolicyError above 1e-5, which says whether 32 bits are too few for the policy."""

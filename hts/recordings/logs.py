@@ -126,10 +126,7 @@ def recordings_from_columns(
 
 
 def recording_from_tables(
-    files: Sequence[Path],
-    log: Mapped,
-    robot: Robot,
-    read: Callable[[Path, Sequence[ColumnName], Mapped], Table],
+    files: Sequence[Path], log: Mapped, robot: Robot, read: Callable[[Path, Sequence[ColumnName], Mapped], Table]
 ) -> Recording:
     """The same from tables of which only the wanted columns are read: read(file, wanted, mapping) -> Table.
 
@@ -146,10 +143,7 @@ def recording_from_tables(
 
 
 def recordings_from_tables(
-    files: Sequence[Path],
-    log: Mapped,
-    robot: Robot,
-    read: Callable[[Path, Sequence[ColumnName], Mapped], Table],
+    files: Sequence[Path], log: Mapped, robot: Robot, read: Callable[[Path, Sequence[ColumnName], Mapped], Table]
 ) -> list[Recording]:
     """One recording for each run that the mapping's `runs` or `labels` tell apart; one where it has neither."""
     check_joint_order(log, robot.spec.joint_names)

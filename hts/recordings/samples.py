@@ -68,12 +68,7 @@ def listed(names: Sequence[str], most: int = 3) -> str:
 
 
 def samples_of(
-    name: str,
-    times: np.ndarray,
-    values: np.ndarray,
-    where: str,
-    columns: str = "",
-    components: Sequence[str] = (),
+    name: str, times: np.ndarray, values: np.ndarray, where: str, columns: str = "", components: Sequence[str] = ()
 ) -> Samples:
     """The samples of channel `name`: times (rows,) s, values (rows,) or (rows, k), NaN where the log has nothing.
 
