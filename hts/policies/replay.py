@@ -27,15 +27,7 @@ from hts.errors import PolicyError
 from hts.policies.contract import OF_JOINTS, Contract, known_joints, per_joint
 from hts.policies.importing import Imported
 from hts.policies.layers import FEWEST_EXAMPLES, TOLERANCE, actions_of, difference
-from hts.policies.position_control import (
-    ALIKE,
-    FEWEST,
-    LONGEST_LAG,
-    REFUTED,
-    UNEXPLAINED,
-    Fit,
-    PositionControl,
-)
+from hts.policies.position_control import ALIKE, FEWEST, LONGEST_LAG, REFUTED, UNEXPLAINED, Fit, PositionControl
 from hts.policies.proof import NOT_PROVEN, PROVEN, State, of_card
 from hts.policies.replay_log import Log
 from hts.policies.replay_observation import AXES, SEEN_TOLERANCE, relative
