@@ -32,11 +32,10 @@ def front(run: RunData, pair: tuple[str, str]) -> Figure | None:
 
 def _tested(run: RunData, pair: tuple[str, str]) -> Iterator[tuple[Json, list[Json]]]:
     """(candidate, its results in both objectives) of everything that was measured."""
-    for iteration in run.iterations:
-        for candidate in iteration.get("candidates") or []:
-            real = candidate.get("real") or {}
-            if all(real.get(name) for name in pair):
-                yield candidate, [next(iter(real[name].values())) for name in pair]
+    for candidate in run.candidates:
+        real = candidate.get("real") or {}
+        if all(real.get(name) for name in pair):
+            yield candidate, [next(iter(real[name].values())) for name in pair]
 
 
 def counts(candidate: Json, objective: str, result: Json) -> tuple[float, Sequence[float] | None]:
@@ -56,7 +55,7 @@ def counts(candidate: Json, objective: str, result: Json) -> tuple[float, Sequen
 def _measured(panel: Axes, run: RunData, pair: tuple[str, str], tested: Sequence[tuple[Json, list[Json]]]) -> None:
     factors = [wording.scale(run.unit(name)) for name in pair]
     on_front = {entry["id"] for entry in run.front}
-    best = (run.summary.get("final") or {}).get("policy")
+    best = run.chosen
     _cross(panel)
     line: list[PAIR] = []
     for candidate, results in sorted(tested, key=lambda item: item[0]["id"] in on_front):

@@ -17,6 +17,7 @@ from hts.evaluation.simulation import trial_steps
 from hts.guarded import guarded
 from hts.parts import objectives_of, robot_of, world_of
 from hts.plugins import Registry
+from hts.report import wording
 from hts.run.budget import candidate_counts, plan
 from hts.run.robot_time import asked_of
 from hts.training.sweep import weights_of
@@ -81,7 +82,7 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     batch_gb = samples * BYTES_PER_SAMPLE / 1e9
     measured = "measured here" if steps_per_second else f"as on {assumed}; not measured here"
     return {
-        "combinations": ", ".join(_shown(one) for one in weights) if len(objectives) > 1 else None,
+        "combinations": ", ".join(map(wording.weights, weights)) if len(objectives) > 1 else None,
         "selector": config.selection.selector.name,
         "candidates": sum(counts),
         "tested on the robot": sum(budget.elites),
@@ -130,11 +131,6 @@ def machine_memory_gb() -> float | None:
         with suppress(OSError, ValueError):  # not there, or the word `max`
             found = min(found, int(limit.read_text(encoding="ascii")))
     return found / 1e9 if found > 0 else None
-
-
-def _shown(weights: Mapping[str, float]) -> str:
-    """λ of one candidate, those that are not 0: "1 calm + 5 quiet"."""
-    return " + ".join(f"{value:g} {name}" for name, value in weights.items() if value)
 
 
 def _number(value: Any) -> str:
