@@ -10,6 +10,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+from rich.table import Table
+
 from hts.config import RunConfig
 from hts.errors import ConfigError
 from hts.evaluation.held import ask_to_hold, hold_of
@@ -144,9 +147,6 @@ def _from_to(least: str, most: str) -> str:
 
 def print_estimate(cost: dict[str, Any]) -> None:
     """One line each; last what a person has to do, where the world says it."""
-    from rich.console import Console
-    from rich.table import Table
-
     table = Table.grid(padding=(0, 2))
     table.add_column(justify="right", width=30)
     table.add_column()
@@ -174,8 +174,6 @@ def print_estimate(cost: dict[str, Any]) -> None:
 
 def print_ready(config: RunConfig) -> None:
     """What a dry run has built, and what it has not."""
-    from rich.console import Console
-
     built = "Built once, all of it works: plugins and their settings, pretrained policy, rewards, world"
     rest = (
         ", env, a few batches of training."
