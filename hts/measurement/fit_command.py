@@ -38,13 +38,13 @@ from hts.measurement.split_rule import AUTOMATIC, TEST_STORE, Split, SplitRule, 
 from hts.measurement.wanted import Wanted, without_objective
 from hts.overrides import Override, nested, parsed
 from hts.places import check_place
+from hts.recordings.store import RecordingStore
 
 if TYPE_CHECKING:
     from hts.contracts import Objective, RobotSpec, Settings
     from hts.contracts.measurement_model import Progress
     from hts.plugins import Registry
     from hts.recordings.recording import Recording
-    from hts.recordings.store import RecordingStore
 
 
 @dataclass
@@ -192,7 +192,6 @@ def fit_store(
     several robots, rates, joints or units.
     """
     from hts import plugins
-    from hts.recordings.store import RecordingStore
 
     checks, wanted = checks or FitChecks(), wanted or Wanted()
     name = wanted.name(objective_name)
@@ -300,8 +299,6 @@ def _split(
 ) -> tuple[Split, Shared, dict[str, str]]:
     """Who is fitted to and who is held out, whether they have samples in common, and why recordings of the test store
     were left out."""
-    from hts.recordings.store import RecordingStore
-
     channels = (*objective.inputs, objective.target.name)
     untested: dict[str, str] = {}
     if checks.test is None:

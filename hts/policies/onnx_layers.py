@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from onnx import numpy_helper
 
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError
@@ -77,8 +78,6 @@ def network_of(path: Path, model: Any) -> Network:
 
 
 def _followed(path: Path, model: Any) -> Network:
-    from onnx import numpy_helper
-
     graph = model.graph
     constants = {tensor.name: _array(numpy_helper, tensor) for tensor in graph.initializer}
     inputs = [value for value in graph.input if value.name not in constants]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from onnx import numpy_helper
 
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError
@@ -78,8 +79,6 @@ def what_differs(path: Path, policy: Policy) -> str | None:
 
 
 def _constants(path: Path, model: Any) -> Mapping[str, np.ndarray]:
-    from onnx import numpy_helper
-
     try:
         return {tensor.name: numpy_helper.to_array(tensor).copy() for tensor in model.graph.initializer}
     except ValueError as error:
