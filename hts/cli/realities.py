@@ -208,7 +208,7 @@ def expect(
     from hts.worlds.realities.batch import read_whole
     from hts.worlds.realities.population import weights_of
 
-    files = sorted(path for path in folder.glob("*.json"))[:runs]
+    files = sorted(folder.glob("*.json"))[:runs]
     if len(files) < runs:
         raise RunError(
             f"{folder}: holds {len(files)} realities, {runs} are asked for. Draw more, `hts realities draw --count "

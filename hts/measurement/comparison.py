@@ -105,7 +105,7 @@ def cross_validated(
     fitters: Mapping[str, Fitter],
     target: str,
     training: Sequence[Recording],
-    say: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None],
 ) -> dict[str, float | None]:
     """R² of each over all parts of the training, each part predicted by a fit to the others."""
     folds = training_folds(training)

@@ -184,7 +184,7 @@ def _in_its_place(
 
 
 def translated(
-    path: Path, robot: RobotSpec, network: Network, maps: Translation, seen: Seen, headroom: float = 1.0
+    path: Path, robot: RobotSpec, network: Network, maps: Translation, seen: Seen, headroom: float
 ) -> dict[str, torch.Tensor]:
     """Tensors of our actor with its normaliser (and log_std, if the source has sigmas). headroom: least factor by which
     our clip lies farther out than it would, where the source has none."""

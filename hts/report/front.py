@@ -86,7 +86,7 @@ def front_rows(run: RunData) -> list[dict[str, Any]]:
     return rows
 
 
-def front_figures(run: RunData, note: str = "") -> list[dict[str, str]]:
+def front_figures(run: RunData, note: str) -> list[dict[str, str]]:
     import matplotlib
 
     from hts.report import front_figure, style

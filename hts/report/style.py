@@ -71,7 +71,7 @@ def save(drawing: Figure, folder: Path, name: str) -> Path:
     return folder / f"{name}.svg"
 
 
-def embedded(drawing: Figure, folder: Path, file: str, title: str, caption: str, note: str = "") -> dict[str, str]:
+def embedded(drawing: Figure, folder: Path, file: str, title: str, caption: str, note: str) -> dict[str, str]:
     """`save`, and what the page needs to show it: title, caption, alt and the SVG as base64. note: a line in the
     figure's corner, which goes with it wherever it is shown."""
     if note:
