@@ -16,7 +16,6 @@ after); its target is felt at row k + L. Whatever the logger's order, L + O = 1 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -47,16 +46,8 @@ def replay(path: Path, imported: Imported, log: Log, robot: RobotSpec) -> dict[s
     contract = imported.contract.of_robot(robot)
     names = known_joints(path, contract, robot)
     seeing = _Replay(path, imported, log, robot, contract, names)
-    found: dict[str, State] = {}
-    checks: Sequence[Callable[[], dict[str, State]]] = (
-        seeing.control_rate,
-        seeing.targets,
-        seeing.actions,
-        seeing.observation,
-        seeing.torques,
-    )
-    for check in checks:
-        found |= check()
+    # In this order: later ones go on from what earlier ones found, or say it better.
+    found = seeing.control_rate() | seeing.targets() | seeing.actions() | seeing.observation() | seeing.torques()
     for item, state in found.items():
         differs = item in states and states[item].state not in (PROVEN, NOT_PROVEN)
         if not differs:  # that the log shows what the contract says does not make it the robot's
