@@ -114,7 +114,6 @@ def recording_from_columns(
     becomes a RecordingError that names the file. Raises ConfigError for a wrong mapping, RecordingError naming file,
     column and what to do for a wrong log.
     """
-
     return recording_from_tables(files, parse_mapping(mapping), robot, _reading(columns_of))
 
 
@@ -294,16 +293,16 @@ def _notes(
         if ends:
             named = len(tables) > 1
             notes[key] = ", ".join(f"{one.path.name}: {one.last_line}" if named else one.last_line for one in ends)
-    if any(dropped.values()):
-        notes["rows_outside_limits_dropped"] = ", ".join(f"{name} {count}" for name, count in dropped.items() if count)
     drawn = {name: one for name, one in samples.items() if one.oldest is None}
     inside = {name: int(((one.left_out > grid[0]) & (one.left_out < grid[-1])).sum()) for name, one in drawn.items()}
-    filled = [f"{name} {count - dropped[name]}" for name, count in inside.items() if count > dropped[name]]
-    if filled:
-        notes["incomplete_rows_filled"] = ", ".join(filled)
-    lines = {name: interpolated(one, grid, log.rate_hz) for name, one in drawn.items()}
-    if any(lines.values()):
-        notes["samples_interpolated_in_gaps"] = ", ".join(f"{name} {count}" for name, count in lines.items() if count)
+    counts = {
+        "rows_outside_limits_dropped": dropped,
+        "incomplete_rows_filled": {name: count - dropped[name] for name, count in inside.items()},
+        "samples_interpolated_in_gaps": {name: interpolated(one, grid, log.rate_hz) for name, one in drawn.items()},
+    }
+    for key, found in counts.items():
+        if told := ", ".join(f"{name} {count}" for name, count in found.items() if count > 0):
+            notes[key] = told
     stand = [f"{n} from {one.rate_hz:.4g} Hz, for up to {one.oldest:.3g} s" for n, one in samples.items() if one.oldest]
     if stand:
         notes["readings_held"] = "; ".join(stand)
