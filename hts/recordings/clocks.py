@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hts.errors import RecordingError
+from hts.recordings.resample import interpolate
 
 LEAST_CORRELATION = 0.7
 RIVAL = 0.97
@@ -84,7 +85,7 @@ def _even(times: np.ndarray, values: np.ndarray, rate_hz: float) -> np.ndarray:
             "stamps."
         )
     grid = times[0] + np.arange(count) / rate_hz
-    even = np.stack([np.interp(grid, times, column) for column in values.T], axis=1)
+    even = interpolate(times, values, grid)
     return even - even.mean(axis=0)
 
 
