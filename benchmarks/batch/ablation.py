@@ -38,9 +38,7 @@ def ablation(groups: Sequence[Group], against: str = "ours") -> str:
         ours, theirs = whole.values(kind=kind), group.values(kind=kind)
         gap = paired(theirs, ours)
         shared = {
-            name: difference(_runs(group, name), _runs(whole, name), whole.objective, kind)
-            for name in theirs
-            if name in ours
+            name: difference(group.on(name), whole.on(name), whole.objective, kind) for name in theirs if name in ours
         }
         rows.append(
             [
@@ -67,10 +65,6 @@ def _cell(group: Group, gap: float, width: float | None) -> str:
     value, unit = differences(group.unit)(gap).rsplit(" ", 1)
     bounds = "" if width is None else f" ± {differences(group.unit, signed=False)(width).rsplit(' ', 1)[0]}"
     return f"{value}{bounds} {unit}"
-
-
-def _runs(group: Group, reality: str) -> list[Result]:
-    return [result for line, result in group.results if line.reality == reality]
 
 
 def difference(

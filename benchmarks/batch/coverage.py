@@ -229,11 +229,8 @@ def _true(work: Work) -> tuple[dict[str, Found], dict[str, str]]:
             config.finetune.env.commands.vx,
         )
     )
-    return {speed: Found(**_known(one)) for speed, one in found["speeds"].items()}, {}
-
-
-def _known(entry: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in entry.items() if key in Found.model_fields}
+    known = Found.model_fields
+    return {at: Found(**{key: one[key] for key in one if key in known}) for at, one in found["speeds"].items()}, {}
 
 
 def _evaluated(work: Work, objective: Objective, registry: plugins.Registry) -> tuple[dict[str, Found], dict[str, str]]:

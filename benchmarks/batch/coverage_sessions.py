@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 LEAST = 40
 """Sessions of a pair below which their spread is not known well enough to draw from."""
 
+DRAWS = 20_000  # of each pair's sessions
 DEGREES = 8
 """Of a session's own interval where each of its four short blocks is cut into three batches: 12 less 4."""
 
@@ -36,7 +37,7 @@ class Drawn:
     pairs: int
 
 
-def student_of_sessions(evaluations: Iterable[CoverageLine], draws: int = 20_000, seed: int = 0) -> Drawn | None:
+def student_of_sessions(evaluations: Iterable[CoverageLine]) -> Drawn | None:
     """95 % intervals of S sessions drawn with replacement from all of a pair's at one speed, S being what an
     evaluation of it has. Sessions that tell no figure of their own, their speeds having ended apart, are not among
     them. None where no pair has LEAST sessions."""
@@ -45,12 +46,12 @@ def student_of_sessions(evaluations: Iterable[CoverageLine], draws: int = 20_000
         for speed, found in line.speeds.items():
             pool = pools.setdefault((line.pair, speed, line.lengths.sessions), [])
             pool.extend(one.improvement for one in found.occasions)
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     sides = []
     for (_, _, count), pool in sorted(pools.items()):
         if len(pool) < LEAST or count < 2:
             continue
-        drawn = random.choice(np.array(pool), (draws, count))
+        drawn = random.choice(np.array(pool), (DRAWS, count))
         error = drawn.mean(axis=1) - np.mean(pool)
         half = stats.t.ppf(0.975, count - 1) * drawn.std(axis=1, ddof=1) / np.sqrt(count)
         sides.append((float((error > half).mean()), float((error < -half).mean())))

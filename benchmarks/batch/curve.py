@@ -52,10 +52,7 @@ def staircase(result: Result, objective: str) -> Staircase:
 
 def staircases(group: Group) -> dict[str, list[Staircase]]:
     """reality -> its runs'. Raises EvaluationError where some runs are measured like the final and some are not."""
-    found: dict[str, list[Staircase]] = {}
-    for line, result in group.results:
-        if result.curve:
-            found.setdefault(line.reality, []).append(staircase(result, group.objective))
+    found = group.by_reality(lambda result: [staircase(result, group.objective)] if result.curve else [])
     ways = {one.finally_measured for each in found.values() for one in each}
     if len(ways) > 1:
         raise EvaluationError(

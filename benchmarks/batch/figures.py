@@ -49,9 +49,7 @@ def prediction(groups: Sequence[Group]) -> Figure | None:
     drawing, axes = figure(3.2, columns=2)
     (left, right), (factor, unit), drawn = axes[0], scale(groups[0].unit), False
     for row, group in enumerate(groups):
-        found = [
-            pair for _, result in group.results for one in result.tried for pair in predicted(one, group.objective)
-        ]
+        found = [pair for one in group.tried for pair in predicted(one, group.objective)]
         costs = [
             (pair.predicted / level, pair.measured / level)
             for _, result in group.results

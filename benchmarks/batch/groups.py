@@ -9,15 +9,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import fmean
+from typing import TypeVar
 
-from batch.lines import Figures, GivenUp, Line, Outcome, Result
+from batch.lines import Figures, GivenUp, Line, Outcome, Result, Tried
 from batch.methods import ORACLE
 from hts.errors import EvaluationError, unknown_name
 from hts.evaluation.population import Values
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -49,12 +52,30 @@ class Group:
         `saving`. Raises EvaluationError for a speed that no run was asked for."""
         if speed is not None and str(float(speed)) not in self.speeds and self.results:
             raise EvaluationError(unknown_name(f"speed of {self.name}, m/s,", speed, self.speeds))
-        found: dict[str, list[float]] = {}
+        return self.by_reality(
+            lambda result: (
+                [saving(result, self.objective, speed, kind, metric)]
+                if speed is None or float(speed) in result.asked_speeds
+                else []
+            )
+        )
+
+    def by_reality(self, told: Callable[[Result], Sequence[T]]) -> dict[str, list[T]]:
+        """reality -> what is told of all runs on it; without those of which nothing is."""
+        found: dict[str, list[T]] = {}
         for line, result in self.results:
-            if speed is not None and float(speed) not in result.asked_speeds:
-                continue
-            found.setdefault(line.reality, []).append(saving(result, self.objective, speed, kind, metric))
+            if own := told(result):
+                found.setdefault(line.reality, []).extend(own)
         return found
+
+    def on(self, reality: str) -> list[Result]:
+        """Of its runs that ended well."""
+        return [result for line, result in self.results if line.reality == reality]
+
+    @property
+    def tried(self) -> list[Tried]:
+        """Candidates that were tried, of all runs."""
+        return [one for _, result in self.results for one in result.tried]
 
     def figures(self) -> list[Figures]:
         """Every speed that was measured."""
@@ -68,8 +89,7 @@ class Group:
 
     def tried_falls(self) -> int:
         """Of candidates, before the final: in their trials, and in second ones where lines know of them."""
-        every = [one for _, result in self.results for one in result.tried]
-        return sum(max(one.falls, falls_told(one.why)) + (one.falls_again or 0) for one in every)
+        return sum(max(one.falls, falls_told(one.why)) + (one.falls_again or 0) for one in self.tried)
 
     def count_refused(self, realities: Collection[str] | None = None, kind: str = "chosen") -> int:
         """Speeds that were refused, over all runs, or over those on the named realities; kind: as of `chosen`. Every

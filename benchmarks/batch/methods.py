@@ -44,7 +44,6 @@ class Method:
     settings: tuple[str, ...] = ()
     presets: Mapping[str, str] = field(default_factory=dict)
     elsewhere: tuple[str, ...] = ()
-    about: str = ""
     own: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     own_elsewhere: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -60,11 +59,11 @@ NO_STOPS = (
 )
 
 METHODS: dict[str, Method] = {
-    "ours": Method(about="the method as shipped"),
-    "ours-proxy": Method(settings=("reward_source=proxy",), about="ours with the analytic stand-in as reward"),
-    "baseline": Method(command="baseline", about="`hts baseline`: the stand-in with its own sweep and budget"),
+    "ours": Method(),  # the method as shipped
+    "ours-proxy": Method(settings=("reward_source=proxy",)),  # ours with the analytic stand-in as reward
+    "baseline": Method(command="baseline"),  # `hts baseline`: the stand-in with its own sweep and budget
     # With `paper` the paper's recipe as we read it; in smaller presets its inputs, data and criterion in their budgets.
-    "paper-exact": Method(
+    "paper-exact": Method(  # the paper's own recipe
         presets={"paper": "paper-exact"},
         elsewhere=(
             "collection.exploring=0",
@@ -97,61 +96,46 @@ METHODS: dict[str, Method] = {
                 "objectives.noise.criterion=mean",
             ),
         },
-        about="the paper's own recipe",
     ),
-    "oracle": Method(command=ORACLE, about="saw inside the reality; no method: what was possible"),
-    "oracle-reward": Method(
-        command=ORACLE,
-        settings=("oracle_trains_in=simulation",),
-        about="ours with the reality's own instruments for a model; no method: what a better model could add",
-    ),
+    "oracle": Method(command=ORACLE),  # saw inside the reality; no method: what was possible
+    # Ours with the reality's own instruments for a model; no method: what a better model could add.
+    "oracle-reward": Method(command=ORACLE, settings=("oracle_trains_in=simulation",)),
     # Ablations: ours without one thing.
-    "lstm": Method(own={"power": ("objectives.power.model=battery_current",)}, about="the paper's kind of model"),
-    "no-products": Method(
+    "lstm": Method(own={"power": ("objectives.power.model=battery_current",)}),  # the paper's kind of model
+    "no-products": Method(  # a network on the plain channels, as in the paper
         own={
             "power": ("objectives.power.model={name: battery_current, products: false}",),
             "noise": ("objectives.noise.model={name: footfall_level, products: false}",),
         },
-        about="a network on the plain channels, as in the paper",
     ),
-    "linear": Method(
+    "linear": Method(  # a ridge on products and lags
         own={"power": ("objectives.power.model=linear",), "noise": ("objectives.noise.model=linear",)},
-        about="a ridge on products and lags",
     ),
-    "late-reward": Method(
+    "late-reward": Method(  # paid as the gauge shows it
         own={"power": ("objectives.power.model={name: drive_train, instant: false}",)},
-        about="paid as the gauge shows it",
     ),
-    "no-doubt": Method(
+    "no-doubt": Method(  # no standard deviation in the reward
         own={"power": ("objectives.power.model={name: drive_train, beta: 0}",)},
-        about="no standard deviation in the reward",
     ),
-    "no-hold": Method(settings=("finetune.hold=false",), about="speed not held in training"),
-    "no-hold-below": Method(settings=("finetune.hold_below=false",), about="speed held on average alone"),
-    "fixed-bounds": Method(settings=("sweep.trust_region.enabled=false",), about="the same bounds in each iteration"),
-    "no-exploring": Method(
+    "no-hold": Method(settings=("finetune.hold=false",)),  # speed not held in training
+    "no-hold-below": Method(settings=("finetune.hold_below=false",)),  # speed held on average alone
+    "fixed-bounds": Method(settings=("sweep.trust_region.enabled=false",)),  # the same bounds in each iteration
+    "no-exploring": Method(  # first data by the mean action alone
         settings=("collection.exploring=0", "collection.repeats=8"),  # as many recordings as ours
-        about="first data by the mean action alone",
     ),
-    "no-held-speed": Method(settings=("evaluation.hold_speed=false",), about="commands as asked, speed not held"),
-    "last-moment": Method(settings=("finetune.also_at=[]",), about="candidates judged as their training ended, alone"),
-    "no-stops": Method(
-        settings=NO_STOPS,
-        about="training as if no gate were behind it, and none on twins",
-    ),
-    "no-average": Method(settings=("finetune.average=0",), about="parameters as they ended, not averaged"),
-    "prices-anew": Method(settings=("finetune.hold_from_anchor=false",), about="prices begin at nothing each time"),
-    "no-margin": Method(settings=("selection.min_valid=null",), about="trials ask for no more than the final"),
-    "no-pull": Method(
+    "no-held-speed": Method(settings=("evaluation.hold_speed=false",)),  # commands as asked, speed not held
+    "last-moment": Method(settings=("finetune.also_at=[]",)),  # candidates judged as their training ended, alone
+    "no-stops": Method(settings=NO_STOPS),  # training as if no gate were behind it, and none on twins
+    "no-average": Method(settings=("finetune.average=0",)),  # parameters as they ended, not averaged
+    "prices-anew": Method(settings=("finetune.hold_from_anchor=false",)),  # prices begin at nothing each time
+    "no-margin": Method(settings=("selection.min_valid=null",)),  # trials ask for no more than the final
+    "no-pull": Method(  # judged and trained without the pull that trials show
         settings=("simulation_test.measured_pull=false", "finetune.measured_pull=false"),
-        about="judged and trained without the pull that trials show",
     ),
-    "no-second-trial": Method(settings=("selection.confirm=0",), about="the best of one trial goes to the final"),
-    "no-second-try": Method(
-        settings=("selection.trims_again=0",), about="trials walk each speed once, whatever command was found"
-    ),
-    "one-speed": Method(settings=("selection.speeds=[0.8]",), about="elites tried at 0.8 m/s alone"),
-    "racing": Method(settings=("selection.selector.name=racing",), about="elites in rounds"),
+    "no-second-trial": Method(settings=("selection.confirm=0",)),  # the best of one trial goes to the final
+    "no-second-try": Method(settings=("selection.trims_again=0",)),  # walks each speed once, whatever command was found
+    "one-speed": Method(settings=("selection.speeds=[0.8]",)),  # elites tried at 0.8 m/s alone
+    "racing": Method(settings=("selection.selector.name=racing",)),  # elites in rounds
 }
 
 

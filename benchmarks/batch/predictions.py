@@ -43,9 +43,7 @@ def prediction(groups: Sequence[Group]) -> str:
     """What was predicted of the candidates that were tried, and what was measured."""
     rows = []
     for group in groups:
-        found = [
-            pair for _, result in group.results for one in result.tried for pair in predicted(one, group.objective)
-        ]
+        found = [pair for one in group.tried for pair in predicted(one, group.objective)]
         ranks = [
             result.pooled_rank[group.objective] for _, result in group.results if group.objective in result.pooled_rank
         ]
@@ -62,7 +60,7 @@ def prediction(groups: Sequence[Group]) -> str:
                 group.name,
                 str(len(found)),
                 number(sum(one for _, one in found) / total if total else None),
-                number(_rank([one for _, result in group.results for one in result.tried], group.objective)),
+                number(_rank(group.tried, group.objective)),
                 number(median(known) if known else None),
                 number(min(known) if known else None),
                 number(median(fits) if fits else None),
@@ -86,22 +84,12 @@ def _by_speed(one: Tried, objective: str) -> dict[str, tuple[float, float]]:
 
 def improvements(group: Group) -> dict[str, list[tuple[float, float]]]:
     """reality -> (predicted, measured) improvement of each candidate tried there at each speed."""
-    found: dict[str, list[tuple[float, float]]] = {}
-    for line, result in group.results:
-        rows = [pair for one in result.tried for pair in predicted(one, group.objective)]
-        if rows:
-            found.setdefault(line.reality, []).extend(rows)
-    return found
+    return group.by_reality(lambda result: [pair for one in result.tried for pair in predicted(one, group.objective)])
 
 
 def doubts(group: Group) -> dict[str, list[Doubted]]:
     """reality -> each policy that was tried after a fit whose model has a standard deviation."""
-    found: dict[str, list[Doubted]] = {}
-    for line, result in group.results:
-        rows = _doubts(result, group.objective)
-        if rows:
-            found.setdefault(line.reality, []).extend(rows)
-    return found
+    return group.by_reality(lambda result: _doubts(result, group.objective))
 
 
 def calibration(groups: Sequence[Group]) -> str:
@@ -116,7 +104,7 @@ def calibration(groups: Sequence[Group]) -> str:
         every = np.array([pair for each in found.values() for pair in each])
         errors = {name: [float(np.mean([got - said for said, got in each]))] for name, each in found.items()}
         show, signed = differences(group.unit, signed=False), differences(group.unit)
-        tried = _tried(group)
+        tried = group.by_reality(lambda result: result.tried)
         ranks = [rank for each in tried.values() if (rank := _rank(each, group.objective)) is not None]
         rows.append(
             [
@@ -140,11 +128,11 @@ def failures(groups: Sequence[Group]) -> str:
     """Reality by reality, the worst-kept promises first: what the model saw of it before and after."""
     rows = []
     for group in groups:
-        found, known, tried = improvements(group), doubts(group), _tried(group)
+        found, known, tried = improvements(group), doubts(group), group.by_reality(lambda result: result.tried)
         shares = {name: _kept(each) for name, each in found.items()}
         for name in sorted(found, key=lambda one: np.inf if shares[one] is None else float(shares[one] or 0.0)):
             show, own = shown(group.unit), known.get(name, [])
-            runs = [result for line, result in group.results if line.reality == name]
+            runs = group.on(name)
             off = float(np.sqrt(np.mean([one.error**2 for one in own]))) if own else None
             said = float(np.sqrt(np.mean([one.spread**2 for one in own]))) if own else None
             rows.append(
@@ -227,14 +215,6 @@ def _kept(pairs: Sequence[tuple[float, float]]) -> float | None:
     """Sum of what came over the sum of what was promised; None where nothing was."""
     promised = sum(told for told, _ in pairs)
     return sum(got for _, got in pairs) / promised if promised > 0 else None
-
-
-def _tried(group: Group) -> dict[str, list[Tried]]:
-    """reality -> all that were tried there."""
-    found: dict[str, list[Tried]] = {}
-    for line, result in group.results:
-        found.setdefault(line.reality, []).extend(result.tried)
-    return found
 
 
 def _rank(tried: Sequence[Tried], objective: str) -> float | None:

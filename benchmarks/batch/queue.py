@@ -138,7 +138,7 @@ def run_batch(
     return 1 if failed else 0
 
 
-def lines_by_key(kind: Kind, known: Sequence[Path], retry_failed: bool = False) -> dict[str, RunLine]:
+def lines_by_key(kind: Kind, known: Sequence[Path], retry_failed: bool) -> dict[str, RunLine]:
     """Lines that count as made, of those of these files that are there. retry_failed: those of failures do not."""
     made = {line.key: line for line in kind.made([path for path in known if path.exists()])}
     return {key: line for key, line in made.items() if line.status == "done" or not retry_failed}

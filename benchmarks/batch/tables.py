@@ -22,7 +22,7 @@ EACH_KIND = {"chosen": "", "held": " at held speed", "open_loop": " at equal com
 
 def methods(groups: Sequence[Group]) -> str:
     """Methods over realities: what they save, what goes wrong, what it takes."""
-    speeds = sorted({speed for group in groups for speed in group.speeds}, key=float)
+    speeds = _speeds(groups)
     head = ["method", "realities × runs", "failed"]
     head += [f"median, {speed} m/s" for speed in speeds]
     head += ["median", "mean, 95 %", "5th percentile", "lowest", "falls: final, tried", "speeds refused"]
@@ -46,7 +46,7 @@ def short(groups: Sequence[Group]) -> str:
                 f"{len(values)} ({failed} run{'' if failed == 1 else 's'} failed)" if failed else str(len(values)),
                 show(population(values, quantile(0.5)).estimate),
                 with_interval(population(values), show),
-                show(min(mean(map(_number, runs)) for runs in values.values())),
+                show(min(_mean_of(values, name) for name in values)),
                 str(group.count_refused()),
                 f"{group.final_falls()}, {group.tried_falls()}",
                 less,
@@ -72,7 +72,7 @@ def _method(group: Group, others: Sequence[Group], speeds: Sequence[str]) -> lis
     failed = failed_runs(group)
     if not values:
         return [group.name, "0", str(failed), *[NONE] * (len(speeds) + 9)]
-    whole, lowest = population(values), min(mean(map(_number, runs)) for runs in values.values())
+    whole, lowest = population(values), min(_mean_of(values, name) for name in values)
     within, less = _against_best(group, others)
     return [
         group.name,
@@ -261,7 +261,7 @@ def gate(groups: Sequence[Group]) -> str:
     rows = []
     for group in groups:
         best = [result.best.gate for _, result in group.results if result.best is not None]
-        tried = [one.gate for _, result in group.results for one in result.tried]
+        tried = [one.gate for one in group.tried]
         rows.append([group.name, str(len(group.results)), *(_refused_of(asked) for asked in (best, tried))])
     return table(["method", "runs", "finals of who fails the gate", "elites that fail it"], rows)
 
@@ -274,7 +274,7 @@ def _refused_of(passed: Sequence[bool | None]) -> str:
 def seeds(groups: Sequence[Group]) -> str:
     """Run by run: the saving at each speed, what was refused, and minutes of computing; the mean of each method's."""
     show, rows = shown(groups[0].unit), []
-    speeds = sorted({speed for group in groups for speed in group.speeds}, key=float)
+    speeds = _speeds(groups)
     written = lambda value: NONE if np.isnan(value) else show(float(value))
     for group in groups:
         runs = sorted(group.results, key=lambda one: (one[0].reality, one[0].seed))
@@ -340,9 +340,7 @@ def with_interval(found: Population, show: Callable[[float], str]) -> str:
 
 def ratio(found: Population) -> str:
     """`1.05 (0.97 to 1.20)`."""
-    if found.interval is None:
-        return f"{found.estimate:.2f} (one reality)"
-    return f"{found.estimate:.2f} ({found.interval[0]:.2f} to {found.interval[1]:.2f})"
+    return with_interval(found, "{:.2f}".format)
 
 
 def signed(count: int) -> str:
@@ -371,12 +369,12 @@ def _stage(found: Sequence[Result], stage: str) -> list[int]:
     return [one.real_samples.get(stage, 0) for one in found]
 
 
+def _speeds(groups: Sequence[Group]) -> list[str]:
+    return sorted({speed for group in groups for speed in group.speeds}, key=float)
+
+
 def _mean_of(values: Values, name: str) -> float:
-    return mean(map(_number, values[name]))
-
-
-def _number(run: float | Sequence[float]) -> float:
-    return float(np.mean(run))
+    return mean(float(np.mean(run)) for run in values[name])
 
 
 TABLES: dict[str, Callable[[Sequence[Group]], str]] = {

@@ -20,22 +20,8 @@ def command(
 ) -> None:
     """The same as `hts run`, with the objective's analytic proxy as reward and a sweep and budget of its own."""
     from hts.cli.run import start
-    from hts.config_loading import load_config
-    from hts.plugins import load
 
-    registry = load()
-    resolved = load_config(
-        preset=preset,
-        file=config,
-        objectives=objective or (),
-        robot=robot,
-        world=world,
-        engine=engine,
-        executor=executor,
-        seed=seed,
-        baseline=True,
-        overrides=set_ or (),
-        registry=registry,
-        option_names=options.NAMES,
+    registry, resolved = options.configured(
+        objective, robot, preset, world, config, set_, engine=engine, executor=executor, seed=seed, baseline=True
     )
     start(resolved, registry, out, dry_run)

@@ -13,12 +13,8 @@ from hts.errors import ConfigError
 if TYPE_CHECKING:
     from hts.bench import Sizes
 
-app = typer.Typer(
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    no_args_is_help=True,
-    help="Speed against bare physics: the engine alone replaying the states and actions that were collected.",
+app = options.group(
+    "Speed against bare physics: the engine alone replaying the states and actions that were collected."
 )
 
 RobotName = Annotated[
@@ -123,7 +119,7 @@ def sizes(device: str, hidden: str | None, memory: int) -> Sizes:
     """The options that are not the default. Raises ConfigError for hidden layers that are no numbers."""
     from hts.bench import Sizes
 
-    layers = (hidden or "").split("-") if hidden else []
+    layers = hidden.split("-") if hidden else []
     if not all(layer.isdecimal() and int(layer) for layer in layers):
         raise ConfigError(f"--hidden {hidden}: expected widths joined by '-', e.g. --hidden 512-256-128")
     return Sizes(device, tuple(int(layer) for layer in layers), memory)

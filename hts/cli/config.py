@@ -8,12 +8,7 @@ import typer
 
 from hts.cli import options
 
-app = typer.Typer(
-    add_completion=False,
-    rich_markup_mode=None,
-    no_args_is_help=True,
-    help="The resolved configuration, or its JSON schema.",
-)
+app = options.group("The resolved configuration, or its JSON schema.")
 
 
 @app.command()
@@ -29,22 +24,10 @@ def show(
     seed: options.Seed = None,
 ) -> None:
     """Print the configuration that `hts run` with the same options would use, as YAML, settings of plugins included."""
-    from hts.config_loading import check_names, dump_config, load_config, with_plugin_defaults
-    from hts.plugins import load
+    from hts.config_loading import check_names, dump_config, with_plugin_defaults
 
-    registry = load()
-    resolved = load_config(
-        preset=preset,
-        file=config,
-        objectives=objective or (),
-        robot=robot,
-        world=world,
-        engine=engine,
-        executor=executor,
-        seed=seed,
-        overrides=set_ or (),
-        registry=registry,
-        option_names=options.NAMES,
+    registry, resolved = options.configured(
+        objective, robot, preset, world, config, set_, engine=engine, executor=executor, seed=seed
     )
     check_names(resolved, registry)
     typer.echo(dump_config(with_plugin_defaults(resolved, registry)), nl=False)

@@ -9,27 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hts.cli import options
-from hts.cli.printable import printable
+from hts.cli.printable import say
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
     from hts.recordings.store import RecordingStore
 
-app = typer.Typer(
-    help="Look into a recording store: ls, show, compare, validate, lag, enough; export it.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = options.group("Look into a recording store: ls, show, compare, validate, lag, enough; export it.")
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The store, such as RUN/data.zarr.")]
 AsJson = Annotated[bool, typer.Option("--json", help="As JSON, for programs.")]
-
-
-def _say(line: str) -> None:
-    """One line, of which parts come from logs."""
-    typer.echo(printable(line))
 
 
 @app.command()
@@ -91,10 +80,10 @@ def show(
     typer.echo(f"recording {recording_id}")
     for key, value in attributes.items():
         if key not in ("arrays", "joint_names", "kp", "kd", "schedule"):
-            _say(f"  {key}: {value if not isinstance(value, dict) else _pairs(value)}")
-    _say(f"  schedule: {_schedule(attributes)}")
+            say(f"  {key}: {value if not isinstance(value, dict) else _pairs(value)}")
+    say(f"  schedule: {_schedule(attributes)}")
     for joint, kp, kd in zip(attributes["joint_names"], attributes["kp"], attributes["kd"], strict=True):
-        _say(f"  joint {joint}: kp {kp:g} N*m/rad, kd {kd:g} N*m*s/rad")
+        say(f"  joint {joint}: kp {kp:g} N*m/rad, kd {kd:g} N*m*s/rad")
     rows = [
         (
             name,
@@ -125,7 +114,7 @@ def compare(
     only = {ids[i]: [name for name in statistics[i] if name not in both] for i in (0, 1)}
     if as_json:
         channels = {name: [one[name] for one in statistics] for name in both}
-        _say(json.dumps({"ids": ids, "attributes": different, "channels": channels, "only_in": only}, indent=2))
+        say(json.dumps({"ids": ids, "attributes": different, "channels": channels, "only_in": only}, indent=2))
         return
     _table(("attribute", *ids), [(key, str(left), str(right)) for key, (left, right) in different.items()])
     rows = []
@@ -137,7 +126,7 @@ def compare(
     _table(("channel", "unit", "mean 1", "mean 2", "std 1", "std 2", "rms 1", "rms 2"), rows)
     for recording_id, names in only.items():
         if names:
-            _say(f"only in {recording_id}: {', '.join(names)}")
+            say(f"only in {recording_id}: {', '.join(names)}")
 
 
 @app.command()
@@ -174,7 +163,7 @@ def lag(
     from hts.measurement.wanted import Wanted
 
     for line in show_lag(store, objective, Wanted(target, tuple(input_ or ())), as_json):
-        _say(line)
+        say(line)
 
 
 @app.command()
@@ -199,7 +188,7 @@ def enough(
 
     lines, complete = show_enough(store, objective, Wanted(target, tuple(input_ or ())), speed or (), as_json)
     for line in lines:
-        _say(line)
+        say(line)
     if not complete:
         raise typer.Exit(1)
 
@@ -222,7 +211,7 @@ def export(
     opened = _open(store)
     ids = [_complete(opened, one) for one in recording] if recording else list(opened.ids())
     write_dataset([opened.read(one) for one in ids], to, state or (), action)
-    _say(f"{to}: {len(ids)} episodes")
+    say(f"{to}: {len(ids)} episodes")
 
 
 _NUMBERS = ("min", "mean", "max", "std", "rms")
@@ -311,4 +300,4 @@ def _table(titles: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
     """Columns as wide as they need to be, whatever the terminal, so that output can be searched and cut."""
     widths = [max(len(row[i]) for row in [titles, *rows]) for i in range(len(titles))]
     for row in [titles, *rows]:
-        _say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+        say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

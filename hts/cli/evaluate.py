@@ -28,7 +28,7 @@ def command(
     ] = None,
 ) -> None:
     """Head-to-head against the pretrained policy, written to DIR/evaluation.json."""
-    from hts.cli.printable import printable
+    from hts.cli.printable import say
     from hts.places import existing_run
 
     existing_run(folder)
@@ -53,7 +53,7 @@ def command(
         registry=registry,
         sessions=sessions,
         overrides=set_ or (),
-        say=lambda line: typer.echo(printable(line), err=True),
+        say=lambda line: say(line, err=True),
     )
     print_evaluation(found)
     typer.echo(str(folder / "evaluation.json"))

@@ -49,7 +49,7 @@ def command(
     import json
 
     from hts.cli.fit_progress import FitProgress
-    from hts.cli.printable import printable
+    from hts.cli.printable import say
     from hts.measurement.fit_command import FitChecks, fit_store
     from hts.measurement.fit_report import cautions, doubts, session_note, summary_line, table
     from hts.measurement.split_rule import SplitRule
@@ -70,9 +70,9 @@ def command(
     report = json.loads(written.read_text(encoding="utf-8"))
     if report["held_out"]["recordings"]:
         for line in table(report):
-            typer.echo(printable(line))
+            say(line)
     note = session_note(report)
     beside = [f"{report['target']}: {note}. Whole sessions are held out by --split session."] if note else []
     for line in (summary_line(report), *beside, *doubts(report), *cautions(report)):
-        typer.echo(printable(line))
+        say(line)
     typer.echo(str(written))

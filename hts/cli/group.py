@@ -97,6 +97,6 @@ def _of_plugin(name: str, entry: Entry) -> Any:
 
 
 def _from_function(name: str, function: Callable[..., Any]) -> Any:
-    app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    app = typer.Typer(add_completion=False, rich_markup_mode=None)
     app.command(name)(function)
     return get_command(app)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hts.cli.printable import say
+
 if TYPE_CHECKING:
     from hts.contracts import Installed, Robot
     from hts.recordings.recording import Recording
@@ -56,7 +58,6 @@ def command(
 
     All files are read and checked first; if one is refused, all that are refused are named and none is stored.
     """
-    from hts.cli.printable import printable
     from hts.errors import ConfigError
     from hts.places import check_place
     from hts.plugins import load
@@ -71,7 +72,7 @@ def command(
         from hts.recordings.suggest import suggested_mapping
 
         asked = [registry.make_objective(name) for name in objective or []]
-        typer.echo(printable(suggested_mapping(files[0], machine, asked)), nl=False)
+        say(suggested_mapping(files[0], machine, asked), nl=False)
         return
     if mapping is None:
         raise ConfigError(_no_mapping(files[0]))
@@ -96,12 +97,13 @@ def command(
     ]
     everything = [recording for recordings in read for recording in recordings]
     if (short := shortfall(everything)) is not None:
-        typer.echo(printable(f"{short} If a log was not copied whole, copy and import it again."), err=True)
+        say(f"{short} If a log was not copied whole, copy and import it again.", err=True)
     if (long := excess(everything)) is not None:
-        typer.echo(printable(long), err=True)
+        say(long, err=True)
     if figure is not None:
         draw(everything, figure)
-    stored = _dry(read) if dry_run or to is None else _store(to, groups, read)
+    none = [[("not stored", "")] * len(recordings) for recordings in read]
+    stored = none if dry_run or to is None else _store(to, groups, read)
     order = assumed_order(given, machine.spec.joint_names)
     for group, recordings, ids in zip(groups, read, stored, strict=True):
         for recording, (recording_id, again) in zip(recordings, ids, strict=True):
@@ -110,9 +112,9 @@ def command(
             names = ", ".join(path.name for path in group)
             line = f"{recording_id}  {names}: {recording.seconds:.2f} s at {recording.rate_hz:g} Hz, "
             line += f"{', '.join(recording.channels)}{again}" + (f" [{notes}]" if notes else "")
-            typer.echo(printable(line))
+            say(line)
     if figure is not None:
-        typer.echo(printable(str(figure)))
+        say(str(figure))
 
 
 def _no_mapping(log: Path) -> str:
@@ -146,7 +148,6 @@ def _read(
     registry: Installed, groups: Sequence[list[Path]], given: dict[str, Any], machine: Robot, mapping: Path
 ) -> list[Sequence[Recording]]:
     """The recordings of each group of files; every refused one is named before the command ends."""
-    from hts.cli.printable import printable
     from hts.errors import ConfigError, RecordingError
     from hts.recordings.commanded import check_commanded
     from hts.recordings.reading import read_logs
@@ -165,15 +166,11 @@ def _read(
             refused.append(error)
     if len(refused) > 1:
         for why in refused:
-            typer.echo(printable(f"refused: {why}"), err=True)
+            say(f"refused: {why}", err=True)
         raise RecordingError(f"{len(refused)} of {len(groups)} logs are refused, see above. Nothing was stored.")
     if refused:
         raise RecordingError(f"{str(refused[0]).rstrip('.')}. Nothing was stored.") from refused[0]
     return read
-
-
-def _dry(read: Sequence[Sequence[Recording]]) -> list[list[tuple[str, str]]]:
-    return [[("not stored", "") for _ in recordings] for recordings in read]
 
 
 def _store(to: Path, groups: Sequence[list[Path]], read: Sequence[Sequence[Recording]]) -> list[list[tuple[str, str]]]:
@@ -204,7 +201,6 @@ def _store(to: Path, groups: Sequence[list[Path]], read: Sequence[Sequence[Recor
 
 def _tell_of_copy(known: Known, recording: Recording, where: str, to: Path) -> None:
     """Say so if the store has that walk already, under another name or with other stated facts."""
-    from hts.cli.printable import printable
 
     found = known.walk_of(recording)
     if found is not None:
@@ -214,4 +210,4 @@ def _tell_of_copy(known: Known, recording: Recording, where: str, to: Path) -> N
             f"another name or states other facts. No two walks are alike, and this one counts twice now: delete "
             f"{to / there} if it is the one that is wrong, or import each log with its own mapping."
         )
-        typer.echo(printable(text), err=True)
+        say(text, err=True)

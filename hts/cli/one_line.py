@@ -54,7 +54,8 @@ def disk_fault(error: BaseException | None, place: Path | None = None, option: s
     """
     first = error
     while error is not None:
-        number = (error.errno or 0) if isinstance(error, OSError) else _errno_in_text(str(error))
+        number = next((one for one in IN_TEXTS if os.strerror(one) in str(error)), 0)
+        number = (error.errno or 0) if isinstance(error, OSError) else number
         said = None if number == errno.ENOENT else place_fault(number, option)  # a file that we forgot is a bug
         if said is not None and (error is first or number not in OF_PATHS):
             file = (error.filename if isinstance(error, OSError) else None) or place or "a file"
@@ -115,10 +116,6 @@ def _in_a_thread(what: threading.ExceptHookArgs) -> None:
     """A thread that a disk stopped (TensorBoard writes in one) need not show it: who waits for it will say it."""
     if not isinstance(what.exc_value, OutputFault) and disk_fault(what.exc_value) is None:
         threading.__excepthook__(what)
-
-
-def _errno_in_text(text: str) -> int:
-    return next((number for number in IN_TEXTS if os.strerror(number) in text), 0)
 
 
 def _usage(error: typer.TyperException) -> str:

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from hts.config import RunConfig
+    from hts.overrides import Override
+    from hts.plugins import Registry
 
 Objectives = Annotated[
     list[str] | None,
@@ -52,3 +58,26 @@ POLICIES = "best, pretrained, a candidate's id"
 
 NAMES = {"seed": "--seed", "reward_source": "--reward", "start": "--start"}
 """Key of a configuration -> the option above, or of a single command, that gives it: what a message names."""
+
+
+def group(text: str) -> typer.Typer:
+    """A command that has commands of its own; text: of its help."""
+    return typer.Typer(help=text, no_args_is_help=True, add_completion=False, rich_markup_mode=None)
+
+
+def configured(
+    objectives: Sequence[str] | None,
+    robot: str | None,
+    preset: str | None,
+    world: str | None,
+    config: Path | None,
+    overrides: Sequence[str | Override] | None,
+    **more: Any,
+) -> tuple[Registry, RunConfig]:
+    """What is installed, and the configuration that these options make of it; more: as of `load_config`."""
+    from hts.config_loading import load_config
+    from hts.plugins import load
+
+    given = {"preset": preset, "robot": robot, "world": world, "file": config, "option_names": NAMES, **more}
+    registry = load()
+    return registry, load_config(objectives=objectives or (), overrides=overrides or (), registry=registry, **given)

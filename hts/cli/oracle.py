@@ -45,26 +45,14 @@ def command(
     instruments. No method."""
     from hts.cli.one_line import resumable
     from hts.cli.run import default_folder
-    from hts.config_loading import load_config
     from hts.overrides import Override
-    from hts.plugins import load
 
-    registry = load()
     overrides: list[str | Override] = list(set_ or ())
     overrides += ["oracle_trains_in=simulation"] if in_simulation else []
     overrides += [Override.by("--steps", "finetune.steps", steps)] if steps is not None else []
-    resolved = load_config(
-        preset=preset,
-        file=config,
-        objectives=objective or (),
-        robot=robot,
-        world=world,
-        seed=seed,
-        oracle=True,
-        start=str(start) if start is not None else None,
-        overrides=overrides,
-        registry=registry,
-        option_names=options.NAMES,
+    begin = None if start is None else str(start)
+    registry, resolved = options.configured(
+        objective, robot, preset, world, config, overrides, seed=seed, oracle=True, start=begin
     )
     from hts.oracle import start_oracle
 

@@ -7,16 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hts.cli import options
+
 if TYPE_CHECKING:
     from hts.policies.files import Policy
 
-app = typer.Typer(
-    help="Policies made elsewhere: import.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = options.group("Policies made elsewhere: import.")
 
 
 @app.callback()

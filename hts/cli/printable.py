@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import unicodedata
+from typing import Any
 
 KEPT = "\n\t"
 UNSAFE = ("Cc", "Cf", "Cs", "Zl", "Zp")
@@ -17,3 +18,10 @@ def printable(text: str) -> str:
         one.encode("unicode_escape").decode("ascii") if one not in KEPT and unicodedata.category(one) in UNSAFE else one
         for one in text
     )
+
+
+def say(text: str, **how: Any) -> None:
+    """Print such text; how: as of `typer.echo`."""
+    import typer
+
+    typer.echo(printable(text), **how)

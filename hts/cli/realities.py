@@ -16,13 +16,7 @@ if TYPE_CHECKING:
     from hts.worlds.realities.like import Likeness
     from hts.worlds.twin.reality import Measured
 
-app = typer.Typer(
-    help="Plausible twins: draw, show, check, list, ranges, posterior, expect.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
+app = options.group("Plausible twins: draw, show, check, list, ranges, posterior, expect.")
 
 Which = Annotated[str, typer.Argument(metavar="FILE|NAME", help="A reality's file, or its name (see list).")]
 AsJson = Annotated[bool, typer.Option("--json", help="As JSON, for programs.")]
@@ -220,7 +214,7 @@ def expect(
     from hts.worlds.realities.batch import read_whole
     from hts.worlds.realities.population import weights_of
 
-    files = sorted(path for path in folder.glob("*.json"))[:runs]
+    files = sorted(folder.glob("*.json"))[:runs]
     if len(files) < runs:
         raise RunError(
             f"{folder}: holds {len(files)} realities, {runs} are asked for. Draw more, `hts realities draw --count "

@@ -27,24 +27,8 @@ def command(
     reward: options.Reward = None,
 ) -> None:
     """Improve a robot's policy on an objective: measure, model, fine-tune, test, repeat."""
-    from hts.config_loading import load_config
-    from hts.plugins import load
-
-    registry = load()
-    resolved = load_config(
-        preset=preset,
-        file=config,
-        objectives=objective or (),
-        robot=robot,
-        world=world,
-        engine=engine,
-        executor=executor,
-        seed=seed,
-        reward_source=reward,
-        overrides=set_ or (),
-        registry=registry,
-        option_names=options.NAMES,
-    )
+    given = {"engine": engine, "executor": executor, "seed": seed, "reward_source": reward}
+    registry, resolved = options.configured(objective, robot, preset, world, config, set_, **given)
     start(resolved, registry, out, dry_run)
 
 

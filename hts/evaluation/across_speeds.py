@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from hts.contracts import Comparison
 
@@ -18,8 +18,3 @@ def mean_comparison(comparisons: Sequence[Comparison]) -> Comparison:
         selection_score=sum(one.selection_score for one in comparisons) / count,
         metrics={name: sum(one.metrics[name] for one in comparisons) / count for name in shared},
     )
-
-
-def mean_by_objective(rows: Sequence[Mapping[str, Comparison]]) -> dict[str, Comparison]:
-    """The same of each objective. rows: one mapping from objective to comparison per speed."""
-    return {name: mean_comparison([row[name] for row in rows]) for name in rows[0]}

@@ -21,6 +21,7 @@ from hts.locks import only_one
 from hts.overrides import Override, parsed
 from hts.parts import objectives_of, robot_of, world_of
 from hts.policy_ids import PRETRAINED
+from hts.recordings.store import RecordingStore
 from hts.task_settings import check_speeds
 
 if TYPE_CHECKING:
@@ -67,7 +68,6 @@ def evaluate_run(
     from hts.policies.held_commands import has_held_commands
     from hts.recordings.doubts import remarks
     from hts.recordings.needs import check_judged_by, check_recorded
-    from hts.recordings.store import RecordingStore
 
     folder = Path(folder)
     registry = registry or load()
@@ -209,12 +209,7 @@ def command_of(
 
 
 def in_sessions(
-    world: World,
-    policy: Path,
-    reference: Path,
-    speeds: Sequence[float],
-    sessions: int,
-    check: Check | None = None,
+    world: World, policy: Path, reference: Path, speeds: Sequence[float], sessions: int, check: Check | None = None
 ) -> list[Recording]:
     """A head-to-head, or as many as asked for. check: as `complete` does it. Raises EvaluationError for a world that
     makes one only."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from hts.config import EvaluationConfig
 from hts.contracts import VELOCITY, Comparison, Objective, Task
 from hts.errors import PluginError
-from hts.evaluation.across_speeds import mean_by_objective
+from hts.evaluation.across_speeds import mean_comparison
 from hts.evaluation.head_to_head import ROLES, TooFewSegments, by_speed, point
 
 if TYPE_CHECKING:
@@ -64,7 +64,9 @@ def _at_one_speed(
 
 def _over_speeds(found: Sequence[Half | None]) -> Half | None:
     known = [half for half in found if half is not None]
-    return mean_by_objective(known) if len(known) == len(found) else None
+    if len(known) < len(found):
+        return None
+    return {name: mean_comparison([half[name] for half in known]) for name in known[0]}
 
 
 def _half(

@@ -268,14 +268,7 @@ class _Measured:
             except (EvaluationError, PluginError):  # the means themselves could be compared
                 return math.nan
 
-        return interval_of(
-            drawn,
-            self._balance,
-            policy,
-            reference,
-            config.bootstrap,
-            seed,
-        )
+        return interval_of(drawn, self._balance, policy, reference, config.bootstrap, seed)
 
     @property
     def _balance(self) -> Balance:
@@ -359,9 +352,8 @@ def _check_enough(both: Mapping[str, Segments], role: str, speed: float, config:
         numbers["reference_walked"] = refusal(reference, speed)["walked"]
         remedy += f" {NAMES['reference'].capitalize()} has too few as well."
     raise TooFewSegments(
-        f"{where}: {len(segments)} of {segments.total} segments of {name} are valid "
-        f"({rule}); at least {config.min_segments} and {config.min_valid:.0%} are needed. "
-        f"Nothing is reported: {remedy}",
+        f"{where}: {len(segments)} of {segments.total} segments of {name} are valid ({rule}); at least "
+        f"{config.min_segments} and {config.min_valid:.0%} are needed. Nothing is reported: {remedy}",
         role,
         numbers,
     )

@@ -100,9 +100,8 @@ def not_tried(config: RunConfig, robot: Robot) -> str | None:
         return None
     told = _listed(config.evaluation.speeds)
     return (
-        f"{_listed(new)} m/s: only the final is at such a speed; candidates are judged and "
-        f"tried at {_listed(known)}. What is to be reported is better tried: "
-        f"--set selection.speeds=[{told}] --set simulation_test.speeds=[{told}]"
+        f"{_listed(new)} m/s: only the final is at such a speed; candidates are judged and tried at {_listed(known)}. "
+        f"What is to be reported is better tried: --set selection.speeds=[{told}] --set simulation_test.speeds=[{told}]"
     )
 
 

@@ -17,6 +17,7 @@ from hts.contracts import VELOCITY, Task
 from hts.errors import PluginError, RecordingError, unknown_name
 from hts.recordings.on_schedule import samples_at
 from hts.recordings.recording import noted_seconds
+from hts.recordings.repeated import runs_of
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -107,11 +108,7 @@ class Segments:
         return np.asarray(recording.channels[channel].values)
 
 
-def cut(
-    recordings: Sequence[Recording],
-    speed_tolerance: float = 0.1,
-    task: Task = VELOCITY,
-) -> Segments:
+def cut(recordings: Sequence[Recording], speed_tolerance: float = 0.1, task: Task = VELOCITY) -> Segments:
     """Cut recordings into pieces of SEGMENT_SECONDS that do not overlap, and keep the valid ones.
 
     The first SETTLE_SECONDS of a recording and of every command are dropped and not counted (a world that knows
@@ -237,18 +234,18 @@ def _near_falls(recording: Recording, settle_seconds: float) -> tuple[np.ndarray
     before, lying, after = (round(s * rate) for s in (BEFORE_FALL_SECONDS, LYING_SECONDS, settle_seconds))
     if "projected_gravity" in recording.channels:
         fallen = np.asarray(recording.channels["projected_gravity"].values)[:, 2] > FALLEN_GRAVITY_Z
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], fallen, [False]]).astype(int))).reshape(-1, 2)
-    for down, up in edges:
+    falls = runs_of(fallen)
+    for down, up in falls:
         near[max(0, down - before) : up + after] = True
     moments = moments_of_falls(recording)
     for at in samples_at(recording, moments):
         if not fallen[min(at, num - 1)]:
             near[max(0, at - before - lying) : at + 1 + after] = True
-    if recording.fell and not len(edges) and not moments:
+    if recording.fell and not falls and not moments:
         ended_in_it = "falls" not in recording.notes or num / rate < recording.schedule.seconds - BEFORE_FALL_SECONDS
         end = max(0, num - round((BEFORE_FALL_SECONDS + settle_seconds) * rate))
         near[end if ended_in_it else 0 :] = True
-    return near, max(len(edges), len(moments), int(recording.fell), _falls_noted(recording))
+    return near, max(len(falls), len(moments), int(recording.fell), _falls_noted(recording))
 
 
 def moments_of_falls(recording: Recording) -> list[float]:

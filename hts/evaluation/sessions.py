@@ -27,12 +27,7 @@ Statistic = Callable[[np.ndarray, np.ndarray], float]
 
 
 def interval_of(
-    statistic: Statistic,
-    balance: Balance,
-    policy: np.ndarray,
-    reference: np.ndarray,
-    resamples: int,
-    seed: int = 0,
+    statistic: Statistic, balance: Balance, policy: np.ndarray, reference: np.ndarray, resamples: int, seed: int = 0
 ) -> tuple[float, float] | None:
     """Interval of `statistic(policy mean, reference mean)`, each mean of shape (Q,), as `balance.means` makes them.
 

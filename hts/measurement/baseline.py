@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hts.measurement.proxy import has_proxy, proxy_along, proxy_series
-from hts.measurement.scoring import Trace, scores, unscored, varies
+from hts.measurement.scoring import Trace, one_a_sample, scores, unscored, varies
 
 if TYPE_CHECKING:
     from hts.contracts import Objective, Signals
@@ -67,23 +67,16 @@ def stand_ins(objective: Objective, signals: Signals) -> dict[str, StandIn]:
     for one, two in itertools.combinations(sizes, 2):
         if sizes[one] == sizes[two]:
             found[f"Σ|{one}·{two}|"] = partial(_sum_of, one, two, np.abs)
-            found[f"Σ max({one}·{two}, 0)"] = partial(_sum_of, one, two, _positive)
+            found[f"Σ max({one}·{two}, 0)"] = partial(_sum_of, one, two, partial(np.maximum, 0.0))
     return found
 
 
 def _sum_of(
-    first: str,
-    second: str | None,
-    shape: Callable[[np.ndarray], np.ndarray],
-    channels: Mapping[str, np.ndarray],
+    first: str, second: str | None, shape: Callable[[np.ndarray], np.ndarray], channels: Mapping[str, np.ndarray]
 ) -> np.ndarray:
     """Σ over components of a channel, or of its product with another, each bent by `shape`: (T,)."""
     values = _flat(channels[first])
     return shape(values if second is None else values * _flat(channels[second])).sum(1)
-
-
-def _positive(values: np.ndarray) -> np.ndarray:
-    return np.maximum(values, 0.0)
 
 
 def fit_best(
@@ -92,10 +85,10 @@ def fit_best(
     """The stand-in, of those named, whose line has the least squared error on the training recordings."""
     fits = {}
     for name, formula in candidates.items():
-        pairs = [
-            (formula({key: one.values(key) for key in one.channels}).astype(np.float64), _target(one, target), one)
-            for one in training
-        ]
+        pairs = []
+        for one in training:
+            stand_in = formula({key: one.values(key) for key in one.channels}).astype(np.float64)
+            pairs.append((stand_in, one_a_sample(one, target), one))
         fits[name] = _fit_line(pairs, windows)
     best = min(fits, key=lambda name: fits[name][1])
     return best, fits[best][0]
@@ -110,7 +103,7 @@ def fit_proxy(
         proxy = proxy_along(objective, recording)
         if proxy is None:
             return None
-        pairs.append((proxy, _target(recording, objective.target.name), recording))
+        pairs.append((proxy, one_a_sample(recording, objective.target.name), recording))
     return _fit_line(pairs, windows)[0] if pairs else None
 
 
@@ -134,10 +127,6 @@ def _fit_line(
             if error < least:
                 best, least = ProxyFit(scale, offset, delay, window), error
     return best, least
-
-
-def _target(recording: Recording, name: str) -> np.ndarray:
-    return recording.values(name).reshape(-1).astype(np.float64)
 
 
 def _flat(values: np.ndarray) -> np.ndarray:

@@ -121,4 +121,5 @@ def table_rows(report: Mapping[str, Any], rows: Sequence[comparison.Row]) -> lis
     )  # fmt: skip
     references = [one for one in rows if one.kind == "reference"]
     models = [*(one for one in rows if one.kind == "model"), own]
-    return comparison.as_json([*references, *sorted(models, key=lambda one: one.r2 if one.r2 is not None else -1e9)])
+    models = sorted(models, key=lambda one: one.r2 if one.r2 is not None else -1e9)
+    return [vars(one) for one in (*references, *models)]

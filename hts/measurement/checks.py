@@ -88,10 +88,7 @@ def fit_linear(model: MeasurementModel, training: Sequence[Recording]) -> Linear
 
 
 def check(
-    objective: Objective,
-    model: MeasurementModel,
-    held_out: Sequence[Recording],
-    training: Sequence[Recording],
+    objective: Objective, model: MeasurementModel, held_out: Sequence[Recording], training: Sequence[Recording]
 ) -> dict[str, Any]:
     """The model, `linear`, and the objective's analytic stand-in, on recordings that were not fitted to.
 

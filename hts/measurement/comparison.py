@@ -10,7 +10,7 @@ import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -105,7 +105,7 @@ def cross_validated(
     fitters: Mapping[str, Fitter],
     target: str,
     training: Sequence[Recording],
-    say: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None],
 ) -> dict[str, float | None]:
     """R² of each over all parts of the training, each part predicted by a fit to the others."""
     folds = training_folds(training)
@@ -145,8 +145,3 @@ def _in_words(name: str, line: ProxyFit, rate_hz: float) -> str:
     window = f", mean over {1000 * line.window_samples / rate_hz:.0f} ms" if line.window_samples > 1 else ""
     late = f", {1000 * line.delay_samples / rate_hz:.0f} ms late" if line.delay_samples else ""
     return f"{line.scale:.3g} × {name} {'+' if line.offset >= 0 else '−'} {abs(line.offset):.3g}{late}{window}"
-
-
-def as_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Rows as plain values, in the order of the table."""
-    return [vars(one) for one in rows]

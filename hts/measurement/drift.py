@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hts.measurement.scoring import varies
+from hts.measurement.scoring import one_a_sample, varies
 from hts.recordings.on_schedule import NOT_STATED, command_at
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def drift(recordings: Sequence[Recording], target: str) -> Drift | None:
         steady = all(line * whole > 0 and line**2 > MOSTLY * change for line, change in halves)
         lines += whole**2 if steady else 0.0
         changes += all_of_it
-    everything = np.concatenate([_values(one, target) for one in recordings]) if recordings else np.empty(0)
+    everything = np.concatenate([one_a_sample(one, target) for one in recordings]) if recordings else np.empty(0)
     everything = everything[np.isfinite(everything)]
     total = float(((everything - everything.mean()) ** 2).sum()) if len(everything) else 0.0
     square = float((everything**2).sum())
@@ -77,10 +77,6 @@ REMEDY = "make a target of the loss that heats instead (docs/measurement.md)"
 """What to do about one that remembers."""
 
 
-def _values(recording: Recording, target: str) -> np.ndarray:
-    return recording.values(target).reshape(-1).astype(np.float64)
-
-
 def _line(values: np.ndarray) -> tuple[float, float]:
     """Slope of the straight line through samples that follow each other, in units whose square is what it explains of
     the sum of squares about their mean, which is the other number."""
@@ -94,7 +90,7 @@ def _stretches(recordings: Sequence[Recording], target: str) -> Iterator[np.ndar
     for one in recordings:
         if one.notes.get("schedule") == NOT_STATED:
             continue
-        at, values = command_at(one), _values(one, target)
+        at, values = command_at(one), one_a_sample(one, target)
         skip = round(UNSTEADY_SECONDS * one.rate_hz)
         for command in np.unique(at):
             part = values[at == command][skip:]

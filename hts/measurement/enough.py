@@ -22,7 +22,7 @@ from hts.measurement.checks import traces_of
 from hts.measurement.data import check_units, recorded_signals
 from hts.measurement.drift import REMEDY, drift, drift_note
 from hts.measurement.linear import Linear, LinearSettings
-from hts.measurement.scoring import Trace, commanded_speed, r2
+from hts.measurement.scoring import Trace, commanded_speed, pooled_r2, r2
 from hts.measurement.shared import copies, told_of_copies
 from hts.measurement.split import named_part
 from hts.recordings.on_schedule import NOT_STATED
@@ -187,12 +187,7 @@ def _held_out(objective: Objective, signals: Signals, pairs: Sequence[Pair]) -> 
         error = float(predicted.mean() - measured.mean())
         seconds = sum(one.seconds for one in test)
         found.append(HeldOut(name, seconds, float(measured.mean()), error, r2(measured, predicted)))
-    if not everything:
-        return found, None
-    return found, r2(
-        np.concatenate([trace.measured for trace in everything]),
-        np.concatenate([trace.predicted for trace in everything]),
-    )
+    return found, pooled_r2(everything)
 
 
 def _too_little(
@@ -247,8 +242,7 @@ def _too_wrong(held_out: Sequence[HeldOut], found: float | None, by_policy: bool
         if abs(worst.mean_error) > 0.5 * spread:
             lines.append(
                 f"the level of policy {worst.policy[:8] or '(unnamed)'} is missed by {worst.mean_error:+.3g} {unit}, "
-                "more "
-                f"than half of what policies differ by ({spread:.3g} {unit}): record policies that differ more, or "
-                "longer"
+                f"more than half of what policies differ by ({spread:.3g} {unit}): record policies that differ more, "
+                "or longer"
             )
     return lines

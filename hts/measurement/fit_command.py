@@ -38,13 +38,13 @@ from hts.measurement.split_rule import AUTOMATIC, TEST_STORE, Split, SplitRule, 
 from hts.measurement.wanted import Wanted, without_objective
 from hts.overrides import Override, nested, parsed
 from hts.places import check_place
+from hts.recordings.store import RecordingStore
 
 if TYPE_CHECKING:
     from hts.contracts import Objective, RobotSpec, Settings
     from hts.contracts.measurement_model import Progress
     from hts.plugins import Registry
     from hts.recordings.recording import Recording
-    from hts.recordings.store import RecordingStore
 
 
 @dataclass
@@ -192,7 +192,6 @@ def fit_store(
     several robots, rates, joints or units.
     """
     from hts import plugins
-    from hts.recordings.store import RecordingStore
 
     checks, wanted = checks or FitChecks(), wanted or Wanted()
     name = wanted.name(objective_name)
@@ -213,7 +212,8 @@ def fit_store(
     dataset = store.dataset([one.id for one in recordings])
     parts, shared, untested = _split(objective, recordings, checks, config, wanted.robot)
     candidates = Candidates(objective, settings["objectives"], registry, parts.training[0], config, progress)
-    spec = _spec(registry, parts.training[0])
+    robot = recordings[0].robot  # of all of them
+    spec = registry.make_robot(robot).spec if robot in registry.robots else None
     choice, rows, tried = compared(candidates, parts, checks.models, checks.best, spec, say)
     say(f"fitting {choice.name}")
     how = replace(candidates.how, progress=progress)
@@ -299,8 +299,6 @@ def _split(
 ) -> tuple[Split, Shared, dict[str, str]]:
     """Who is fitted to and who is held out, whether they have samples in common, and why recordings of the test store
     were left out."""
-    from hts.recordings.store import RecordingStore
-
     channels = (*objective.inputs, objective.target.name)
     untested: dict[str, str] = {}
     if checks.test is None:
@@ -324,11 +322,6 @@ def _split(
             "split one store with --split chronological=0.7."
         )
     return replace(parts, training=training), shared, untested
-
-
-def _spec(registry: Registry, recording: Recording) -> RobotSpec | None:
-    """Of the robot that made a recording, if it is installed."""
-    return registry.make_robot(recording.robot).spec if recording.robot in registry.robots else None
 
 
 # --------------------------------------------------------------------------------------------------- settings

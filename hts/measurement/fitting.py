@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import torch
+
 from hts.contracts import MeasurementModel
 from hts.errors import PluginError
 from hts.guarded import guarded
@@ -48,8 +50,6 @@ def fit_model(
 def check_unfitted(model: MeasurementModel, registry: Registry | None) -> None:
     """Raise PluginError for what a fit, or what follows on it, would end in, as far as a model that was just made
     shows it: before any data are collected for it."""
-    import torch
-
     check_json(model.settings, f"{called(model, registry)}: its `settings`")
     check_fit_arguments(model, registry)
     give_tensors(model, {name: value.clone() for name, value in tensors_of(model).items()})
@@ -90,8 +90,6 @@ def check_json(values: Mapping[str, Any], what: str) -> None:
 
 def _check_begun(model: MeasurementModel, registry: Registry | None) -> None:
     """Raise PluginError unless the model remembers something, or nothing, of each world that begins."""
-    import torch
-
     what = f"{called(model, registry)}: initial_state()"
     begun = guarded(what, partial(model.initial_state, TRIED_WORLDS))
     if not isinstance(begun, torch.Tensor) or begun.ndim == 0 or len(begun) != TRIED_WORLDS:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hts.errors import RecordingError
-from hts.measurement.split import named_part, stretches
+from hts.measurement.split import named_part
+from hts.recordings.repeated import runs_of
 
 if TYPE_CHECKING:
     from hts.contracts import RobotSpec
@@ -61,7 +62,7 @@ def without_outliers(
     for recording, marked in zip(recordings, wrong, strict=True):
         kept: list[Recording] = []
         found.samples += int(marked.sum())
-        for a, b in stretches(~marked):
+        for a, b in runs_of(~marked):
             if not marked.any() or b - a >= LEAST_SECONDS * recording.rate_hz:
                 kept.append(named_part(recording, a, b))
             else:

@@ -16,6 +16,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import stdev
 from typing import TYPE_CHECKING
 
 import torch
@@ -132,7 +133,7 @@ def chosen(
 
     def try_out(count: int, poolings: Sequence[float], ridges: Sequence[float]) -> None:
         parts = [fold.first(count * features) for fold in folds]
-        rests = [_total([one for one in parts if one is not part]) for part in parts] if len(parts) > 1 else parts
+        rests = [_all_but(part, parts) for part in parts] if len(parts) > 1 else parts
         for pooling in poolings:
             penalty = penalty_of(pooling, std, groups, count)
             for ridge in ridges:
@@ -148,7 +149,7 @@ def chosen(
     for ridge in ridges:
         one = (*best[:2], ridge)
         more = [a - b for a, b in zip(errors[one], errors[best], strict=True)]
-        if ridge > largest[2] and len(more) > 1 and mean(more) <= _standard_error(more):
+        if ridge > largest[2] and len(more) > 1 and mean(more) <= stdev(more) / math.sqrt(len(more)):
             largest = one
     return Choice(largest[2], largest[1], largest[0], mean(errors[largest]))
 
@@ -174,10 +175,6 @@ def parts_left_out(
     return [found[first] for first in firsts]
 
 
-def _total(moments: Sequence[Moments]) -> Moments:
-    return sum(moments[1:], start=moments[0])
-
-
-def _standard_error(values: Sequence[float]) -> float:
-    mean = sum(values) / len(values)
-    return math.sqrt(sum((value - mean) ** 2 for value in values) / (len(values) - 1) / len(values))
+def _all_but(part: Moments, parts: Sequence[Moments]) -> Moments:
+    first, *rest = (one for one in parts if one is not part)
+    return sum(rest, start=first)

@@ -35,6 +35,11 @@ def unscored(recording: Recording) -> int:
     return min(round(SETTLE_SECONDS * recording.rate_hz), int(SETTLE_SHARE * recording.num_samples))
 
 
+def one_a_sample(recording: Recording, channel: str) -> np.ndarray:
+    """A channel of one number, (T,) float64."""
+    return recording.values(channel).reshape(-1).astype(np.float64)
+
+
 def varies(variance: float, square: float) -> bool:
     """Whether a variance is more than rounding; square: the mean square that it was made of, or sums of both."""
     return variance > ROUNDING * square
@@ -88,7 +93,7 @@ class Trace:
     @classmethod
     def of(cls, recording: Recording, target: str, predicted: np.ndarray, spread: np.ndarray | None = None) -> Trace:
         skip = unscored(recording)
-        measured = recording.values(target).reshape(-1).astype(np.float64)
+        measured = one_a_sample(recording, target)
         kept = None if spread is None else spread[skip:].astype(np.float64)
         return cls(recording, measured[skip:], predicted[skip:].astype(np.float64), kept)
 
@@ -137,7 +142,7 @@ def scores(traces: Sequence[Trace], seen_policies: Collection[str] = ()) -> dict
     return {
         "r2": r2(measured, predicted),
         "r2_interval": r2_interval(traces),
-        "r2_policies": _pooled_r2(new),
+        "r2_policies": pooled_r2(new),
         "rmse": math.sqrt(float(((measured - predicted) ** 2).mean())) if measured.size else None,
         "rank_correlation": spearman([c.measured for c in costs], [c.predicted for c in costs]),
         "policies": [asdict(cost) for cost in costs],
@@ -173,7 +178,8 @@ def r2_interval(traces: Sequence[Trace]) -> list[float] | None:
     return [float(low), float(high)]
 
 
-def _pooled_r2(traces: Sequence[Trace]) -> float | None:
+def pooled_r2(traces: Sequence[Trace]) -> float | None:
+    """Over all their samples together."""
     if not traces:
         return None
     return r2(np.concatenate([t.measured for t in traces]), np.concatenate([t.predicted for t in traces]))

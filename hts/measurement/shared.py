@@ -6,15 +6,15 @@ at other rates, or resampled at other instants, have no samples in common that c
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hts.measurement.split import named_part, stretches
+from hts.measurement.split import named_part
 from hts.recordings.header import array_digest
+from hts.recordings.repeated import runs_of
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -55,10 +55,11 @@ def shared_samples(
     step[step == 0] = 1.0
     rows = np.ascontiguousarray(np.round(joined / step).astype(np.int64))
     _, number = np.unique(rows.view(np.dtype((np.void, rows.shape[1] * 8))).ravel(), return_inverse=True)
-    edges = np.cumsum([0, *(len(table) for table in tables)])
-    numbers = [number[a:b] for a, b in itertools.pairwise(edges)]
+    numbers = np.split(number, np.cumsum([len(table) for table in tables])[:-1])
     split = len(training)
-    left, right = (set().union(*map(_windows, part)) for part in (numbers[:split], numbers[split:]))
+    left, right = (
+        {window.tobytes() for one in part for _, window in _varied(one)} for part in (numbers[:split], numbers[split:])
+    )
     both = left & right
     marked = [_marked(one, both) for one in numbers]
     return marked[:split], marked[split:]
@@ -103,15 +104,11 @@ def without_shared(
         wide = np.convolve(marked, np.ones(2 * margin + 1), "same") > 0.5 if marked.any() else marked
         kept += [
             named_part(recording, a, b)
-            for a, b in stretches(~wide)
+            for a, b in runs_of(~wide)
             if not wide.any() or b - a >= LEAST_SECONDS * recording.rate_hz
         ]
     removed = sum(one.num_samples for one in training) - sum(one.num_samples for one in kept)
     return kept, Shared(found.held_out, found.of, removed)
-
-
-def _windows(numbers: np.ndarray) -> set[bytes]:
-    return {window.tobytes() for _, window in _varied(numbers)}
 
 
 def _marked(numbers: np.ndarray, both: set[bytes]) -> np.ndarray:

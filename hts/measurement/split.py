@@ -117,9 +117,3 @@ def _schedule_from(schedule: ScheduleConfig, seconds: float) -> ScheduleConfig:
     left = commands[0].seconds - seconds
     first = commands[0].model_copy(update={"seconds": left if left > 0 else commands[0].seconds})
     return schedule.model_copy(update={"commands": (first, *commands[1:])})
-
-
-def stretches(wanted: np.ndarray) -> list[tuple[int, int]]:
-    """(start, stop) of the runs of True in bool (T,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], wanted, [False])).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -64,13 +64,9 @@ class SplitRule:
         return cls(kind, None, tuple(name.strip() for name in value.split(",") if name.strip()))
 
 
-def _of_file(recording: Recording) -> str:
-    return recording.notes.get("source", recording.id)
-
-
 KEYS: dict[str, Callable[[Recording], str]] = {
     "recording": lambda recording: recording.id,
-    "file": _of_file,
+    "file": lambda recording: recording.notes.get("source", recording.id),
     "session": lambda recording: recording.session,
     "policy": lambda recording: recording.policy_hash,
 }

@@ -110,11 +110,10 @@ class MeasurementTransform(Measured):
     def prepare(self, instances: int, device: torch.device) -> None:
         """Model and memory on the device: before the first step, since models are fitted on the CPU, and after loading
         a state saved on another device."""
-        model = self._model[0]
-        if model.device != device:
-            model.to(device)
+        if self.model.device != device:
+            self.model.to(device)
         if self.memory is None:
-            begun = guarded(f"{self._who}: initial_state()", partial(model.initial_state, instances))
+            begun = guarded(f"{self._who}: initial_state()", partial(self.model.initial_state, instances))
             self.memory = self._as_memory("initial_state", begun, None)
         elif self.memory.device != device:
             self.memory = self.memory.to(device)
@@ -140,24 +139,24 @@ class MeasurementTransform(Measured):
 
     def evaluate(self, recorded: Tensor) -> dict[NestedKey, Tensor]:
         if self._in_steps:
-            steps = recorded.unflatten(-1, (len(self.inputs), -1, self._model[0].signals.sizes[0]))
+            steps = recorded.unflatten(-1, (len(self.inputs), -1, self.model.signals.sizes[0]))
             inputs = steps.movedim(-2, -3).flatten(-2)  # (P·N, K, F)
             last = inputs[..., -1, :]
-            return self._entries(self._told("settled_over", last, self._model[0].settled_over, inputs), last)
-        if self._model[0].settles:
-            return self._entries(self._told("settled", recorded, self._model[0].settled, recorded), recorded)
-        return self._stepped("step", recorded, self._model[0].step, recorded, self.memory)
+            return self._entries(self._told("settled_over", last, self.model.settled_over, inputs), last)
+        if self.model.settles:
+            return self._entries(self._told("settled", recorded, self.model.settled, recorded), recorded)
+        return self._stepped("step", recorded, self.model.step, recorded, self.memory)
 
     def forget(self, ended: Tensor) -> None:
         if self.memory is not None:
             self.prepare(len(ended), ended.device)
-            after = guarded(f"{self._who}: reset()", partial(self._model[0].reset, self.memory, ended))
+            after = guarded(f"{self._who}: reset()", partial(self.model.reset, self.memory, ended))
             self.memory = self._as_memory("reset", after, self.memory)
 
     def forward_sequence(self, recorded: Tensor, ended: Tensor) -> dict[NestedKey, Tensor]:
-        if self._model[0].settles:
+        if self.model.settles:
             return super().forward_sequence(recorded, ended)
-        return self._stepped("steps", recorded, self._model[0].steps, recorded, self.memory, ended)
+        return self._stepped("steps", recorded, self.model.steps, recorded, self.memory, ended)
 
     def source_of(self, key: NestedKey, outcome: TensorDictBase) -> str:
         measured, (_, objective), _ = self.out_keys
@@ -226,18 +225,17 @@ class MeasurementTransform(Measured):
         return found
 
     def _entries(self, prediction: Prediction, inputs: Tensor) -> dict[NestedKey, Tensor]:
-        model = self._model[0]
         measured, real_reward, outside = self.out_keys
         prediction = Prediction(*(None if part is None else part.unsqueeze(-1) for part in prediction))
         return {
             measured: prediction.mean,
-            real_reward: pessimistic_reward(self.reward, prediction, model.pessimism),
+            real_reward: pessimistic_reward(self.reward, prediction, self.model.pessimism),
             outside: self._outside(inputs).unsqueeze(-1),
         }
 
     def _load_from_state_dict(self, state_dict: dict[str, Any], prefix: str, *args: Any, **kwargs: Any) -> None:
         saved = state_dict.get(prefix + "memory")
-        own = self._model[0].initial_state(1).shape[1:]
+        own = self.model.initial_state(1).shape[1:]
         if saved is not None and saved.shape[1:] != own and saved.movedim(-1, 0).shape[1:] == own:
             saved = state_dict[prefix + "memory"] = saved.movedim(-1, 0)  # of an earlier version: worlds came last
         self.memory = None if saved is None else torch.empty_like(saved)

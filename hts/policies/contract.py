@@ -26,6 +26,7 @@ ASKED = {
 }
 """Every key that has to be stated, and what it means."""
 GAINS = ("kp", "kd")
+OF_JOINTS = ("default_pose", "action_scale", *GAINS)
 
 
 @dataclass(frozen=True)
@@ -62,10 +63,7 @@ class Contract:
     def of_robot(self, robot: RobotSpec) -> Contract:
         """This one, and where it says nothing the robot's own numbers. A delay is of no robot: it stays unsaid."""
         order = self.joint_names or robot.joint_names
-        own = {
-            key: dict(zip(robot.joint_names, getattr(robot, key), strict=True))
-            for key in ("default_pose", "action_scale", "kp", "kd")
-        }
+        own = {key: dict(zip(robot.joint_names, getattr(robot, key), strict=True)) for key in OF_JOINTS}
         named: dict[str, Any] = {"joint_names": order, "control_rate_hz": robot.control_rate_hz, **own}
         return self.over(Contract(**named, said_by=dict.fromkeys(named, "the robot")))
 

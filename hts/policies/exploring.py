@@ -18,6 +18,8 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from hts.policies.onnx_checks import metadata_in
+
 NOISE_KEY = "hts_exploration"
 """Metadata of a graph that explores by itself: {"where": "graph", "sigma": [...], "seed": n}."""
 MEAN = "mean_action"
@@ -49,7 +51,7 @@ def with_noise(content: bytes, sigma: Sequence[float], seed: int) -> bytes:
     )
     graph.output.append(helper.make_tensor_value_info(MEAN, TensorProto.FLOAT, ["batch", len(sigma)]))
     note: dict[str, Any] = {"where": "graph", "sigma": [float(one) for one in sigma], "seed": seed}
-    helper.set_model_props(model, {**{one.key: one.value for one in model.metadata_props}, NOISE_KEY: json.dumps(note)})
+    helper.set_model_props(model, {**metadata_in(model), NOISE_KEY: json.dumps(note)})
     onnx.checker.check_model(model)
     return model.SerializeToString()
 
@@ -57,7 +59,6 @@ def with_noise(content: bytes, sigma: Sequence[float], seed: int) -> bytes:
 def mean_of(content: bytes) -> bytes:
     """The exported policy in `content` without any noise: neither in its graph nor asked for by its card."""
     model = onnx.load_from_string(content)
-    props = {one.key: one.value for one in model.metadata_props}
-    props["hts"] = json.dumps({**json.loads(props["hts"]), "exploration_std": []})
-    helper.set_model_props(model, props)
+    said = metadata_in(model)
+    helper.set_model_props(model, {**said, "hts": json.dumps({**json.loads(said["hts"]), "exploration_std": []})})
     return model.SerializeToString()

@@ -18,9 +18,9 @@ from hts.atomic import atomic_write
 from hts.policies.files import Policy, check_finite
 from hts.policies.held_commands import FAR, HeldCommands
 from hts.policies.onnx_metadata import metadata_of_policy
+from hts.rl.population import CLIP
 
 CARD_KEY = "hts"
-CLIP = 10.0  # of normalised observations, as in `Population.normalised`
 
 
 def to_onnx(policy: Policy, path: Path | str, held: HeldCommands | None = None) -> Path:

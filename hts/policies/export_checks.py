@@ -11,6 +11,7 @@ import torch
 from hts.errors import PolicyError
 from hts.policies.files import Policy
 from hts.policies.held_commands import HeldCommands, columns
+from hts.policies.layers import difference
 from hts.rl.population import Population
 
 TOLERANCE = 1e-5
@@ -57,11 +58,7 @@ def recorded_observations(policy: Policy, store: Path) -> np.ndarray:
 
 
 def check_export(
-    policy: Policy,
-    path: Path,
-    format: str,
-    observations: Sequence[np.ndarray],
-    held: HeldCommands | None = None,
+    policy: Policy, path: Path, format: str, observations: Sequence[np.ndarray], held: HeldCommands | None = None
 ) -> float:
     """The largest difference between the actions of the file and of the policy, which sees the `held` commands in the
     place of the wanted speeds. Raises PolicyError above 1e-5, which says whether 32 bits are too few for the policy."""
@@ -72,13 +69,13 @@ def check_export(
             seen[:, column] = held.of(given[:, column].astype(np.float64))
     with torch.no_grad():
         population = Population.from_candidates(policy.card.sizes(), [policy.tensors])
-        wanted = population.mean(torch.from_numpy(seen)[None])[0].numpy().astype(np.float64)
-    off = _off(_actions(path, format, given).astype(np.float64), wanted)
+        wanted = population.mean(torch.from_numpy(seen)[None])[0]
+    off = difference(torch.from_numpy(_actions(path, format, given)), wanted)
     if not off <= TOLERANCE:
         with torch.no_grad():
-            exact = population.double().mean(torch.from_numpy(seen.astype(np.float64))[None])[0].numpy()
+            exact = population.double().mean(torch.from_numpy(seen.astype(np.float64))[None])[0]
         begun = f"{path}: the exported policy's actions are off by up to {off:.2g} on {len(given)} observations"
-        rounding = _off(wanted, exact)
+        rounding = difference(wanted, exact)
         if off <= ROUNDINGS * rounding:
             last = max(key for key in policy.tensors if key.startswith("actor.") and key.endswith(".weight"))
             raise PolicyError(
@@ -89,11 +86,6 @@ def check_export(
             )
         raise PolicyError(f"{begun}. This is a fault of hts or of its runtime; nothing was written.")
     return off
-
-
-def _off(found: np.ndarray, wanted: np.ndarray) -> float:
-    """The largest difference, relative where actions are larger than 1."""
-    return float((np.abs(found - wanted) / np.maximum(np.abs(wanted), 1.0)).max())
 
 
 def _actions(path: Path, format: str, observations: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import ConfigError
 from hts.explain import explain
 from hts.policies.card_checks import LARGEST_OBSERVATION
-from hts.policies.contract import GAINS, Contract, check_keys, completed
+from hts.policies.contract import GAINS, OF_JOINTS, Contract, check_keys, completed
 from hts.rl.task_env import TaskEnv
 from hts.yaml_text import load_mapping_file
 
@@ -111,18 +111,17 @@ def load_layout(file: Path, robot: RobotSpec | None = None) -> Layout:
     least, most = delay if isinstance(delay, tuple) else (delay or 0.0, delay or 0.0)
     if not 0 <= least <= most <= LONGEST_DELAY:
         raise ConfigError(f"{file}: delay_seconds: {delay}, expected 0 to {LONGEST_DELAY:g} s, the least first.")
-    keys = ("joint_names", "default_pose", "action_scale", "kp", "kd", "control_rate_hz", "action_clip")
+    keys = ("joint_names", *OF_JOINTS, "control_rate_hz", "action_clip")
     said = {key: getattr(found, key) for key in keys if getattr(found, key) is not None}
     if delay is not None:
         said["delay_seconds"] = (float(least), float(most))
     said_by = dict.fromkeys(said, file.name)
     contract = Contract(**said, said_by=said_by)
-    per_joint = ("default_pose", "action_scale", "kp", "kd")
     if robot is not None:
-        for key in per_joint:
+        for key in OF_JOINTS:
             check_keys(file, key, said.get(key, 0.0), robot.joint_names)
     if found.rest == "robot" and robot is not None:
-        for key in per_joint:
+        for key in OF_JOINTS:
             if key in said and (whole := completed(file, key, said[key], robot)) != said[key]:
                 said[key], said_by[key] = whole, f"{file.name} and the robot"
         contract = Contract(**said, said_by=said_by).of_robot(robot)

@@ -11,8 +11,7 @@ from torch import nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 
 from hts.policies.files import Policy, check_finite, hash_tensors
-
-CLIP = 10.0  # normalised observations are clipped to ± this, as in `hts.rl.Population`
+from hts.rl.population import CLIP
 
 
 class Normaliser(nn.Module):

@@ -86,6 +86,11 @@ def _check(path: Path, model: Any, what: str) -> None:
                 )
 
 
+def metadata_in(model: Any) -> dict[str, str]:
+    """What a ModelProto says of itself, text by key."""
+    return {entry.key: entry.value for entry in model.metadata_props}
+
+
 def tensors_of(graph: Any) -> Iterator[Any]:
     """Every constant of a graph, those in the attributes of nodes among them."""
     yield from graph.initializer

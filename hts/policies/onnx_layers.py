@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 import torch
+from onnx import numpy_helper
 
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError
 from hts.policies.card_checks import LARGEST_OBSERVATION, MOST_LAYERS, MOST_UNITS
 from hts.policies.export import CARD_KEY
 from hts.policies.files import Policy
-from hts.policies.onnx_checks import ACTIVATIONS, listed, read_checked
+from hts.policies.onnx_checks import ACTIVATIONS, listed, metadata_in, read_checked
 from hts.policies.onnx_metadata import metadata_of
 from hts.policies.onnx_ours import from_our_onnx
 from hts.policies.source import Source
@@ -44,7 +45,7 @@ PLAIN = "Only plain networks can be read."
 def from_onnx(path: Path, robot: RobotSpec, std: float) -> Policy | tuple[Network, Source]:
     """The policy of an exported file of ours, or the actor and what its metadata say. Raises PolicyError."""
     model = read_checked(path)
-    properties = {entry.key: entry.value for entry in model.metadata_props}
+    properties = metadata_in(model)
     if CARD_KEY in properties:
         return from_our_onnx(path, model, properties[CARD_KEY], robot, std)
     return network_of(path, model), metadata_of(path, properties)
@@ -77,8 +78,6 @@ def network_of(path: Path, model: Any) -> Network:
 
 
 def _followed(path: Path, model: Any) -> Network:
-    from onnx import numpy_helper
-
     graph = model.graph
     constants = {tensor.name: _array(numpy_helper, tensor) for tensor in graph.initializer}
     inputs = [value for value in graph.input if value.name not in constants]

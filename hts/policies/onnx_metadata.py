@@ -14,7 +14,7 @@ from typing import Any
 
 from hts.errors import PolicyError
 from hts.policies.contract import Contract
-from hts.policies.onnx_checks import read_checked
+from hts.policies.onnx_checks import metadata_in, read_checked
 from hts.policies.source import Source, sized
 from hts.policies.terms import our_name
 
@@ -36,8 +36,7 @@ THEIRS = {
 
 def read_metadata(path: Path) -> Source:
     """What the metadata of an ONNX file say. Raises PolicyError for a broken file, or metadata that are no such."""
-    model = read_checked(path)
-    return metadata_of(path, {entry.key: entry.value for entry in model.metadata_props})
+    return metadata_of(path, metadata_in(read_checked(path)))
 
 
 def metadata_of(path: Path, properties: Mapping[str, str]) -> Source:

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 import torch
+from onnx import numpy_helper
 
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError
 from hts.policies.export import CARD_KEY, CLIP, graph_nodes, onnx_bytes
 from hts.policies.files import Policy, check_robot, hash_tensors, parse_card
-from hts.policies.onnx_checks import read_checked
+from hts.policies.onnx_checks import metadata_in, read_checked
 from hts.policies.with_critic import NEW_CRITIC, with_new_critic
 
 ROUNDED = "action_sigma"
@@ -60,7 +61,7 @@ def what_differs(path: Path, policy: Policy) -> str | None:
         return None
     try:
         found, expected = read_checked(path, content), read_checked(path, own)
-        said, wanted = _metadata(found), _metadata(expected)
+        said, wanted = metadata_in(found), metadata_in(expected)
         card = parse_card(said.get(CARD_KEY, "null"), path)
         if card.policy_hash != policy.card.policy_hash:
             return f"it holds policy {card.policy_hash[:12]}"
@@ -77,13 +78,7 @@ def what_differs(path: Path, policy: Policy) -> str | None:
     return next((f"its metadata say another {key}" for key in sorted(both) if said[key] != wanted[key]), None)
 
 
-def _metadata(model: Any) -> dict[str, str]:
-    return {entry.key: entry.value for entry in model.metadata_props}
-
-
 def _constants(path: Path, model: Any) -> Mapping[str, np.ndarray]:
-    from onnx import numpy_helper
-
     try:
         return {tensor.name: numpy_helper.to_array(tensor).copy() for tensor in model.graph.initializer}
     except ValueError as error:

@@ -16,7 +16,6 @@ after); its target is felt at row k + L. Whatever the logger's order, L + O = 1 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,18 +23,10 @@ import torch
 
 from hts.contracts import RobotSpec
 from hts.errors import PolicyError
-from hts.policies.contract import Contract, known_joints, per_joint
+from hts.policies.contract import OF_JOINTS, Contract, known_joints, per_joint
 from hts.policies.importing import Imported
 from hts.policies.layers import FEWEST_EXAMPLES, TOLERANCE, actions_of, difference
-from hts.policies.position_control import (
-    ALIKE,
-    FEWEST,
-    LONGEST_LAG,
-    REFUTED,
-    UNEXPLAINED,
-    Fit,
-    PositionControl,
-)
+from hts.policies.position_control import ALIKE, FEWEST, LONGEST_LAG, REFUTED, UNEXPLAINED, Fit, PositionControl
 from hts.policies.proof import NOT_PROVEN, PROVEN, State, of_card
 from hts.policies.replay_log import Log
 from hts.policies.replay_observation import AXES, SEEN_TOLERANCE, relative
@@ -55,16 +46,8 @@ def replay(path: Path, imported: Imported, log: Log, robot: RobotSpec) -> dict[s
     contract = imported.contract.of_robot(robot)
     names = known_joints(path, contract, robot)
     seeing = _Replay(path, imported, log, robot, contract, names)
-    found: dict[str, State] = {}
-    checks: Sequence[Callable[[], dict[str, State]]] = (
-        seeing.control_rate,
-        seeing.targets,
-        seeing.actions,
-        seeing.observation,
-        seeing.torques,
-    )
-    for check in checks:
-        found |= check()
+    # In this order: later ones go on from what earlier ones found, or say it better.
+    found = seeing.control_rate() | seeing.targets() | seeing.actions() | seeing.observation() | seeing.torques()
     for item, state in found.items():
         differs = item in states and states[item].state not in (PROVEN, NOT_PROVEN)
         if not differs:  # that the log shows what the contract says does not make it the robot's
@@ -85,7 +68,7 @@ class _Replay:
         self.maps = imported.maps
         self._check_columns()
         self.given = log.observation
-        values = {key: getattr(contract, key) for key in ("default_pose", "action_scale", "kp", "kd")}
+        values = {key: getattr(contract, key) for key in OF_JOINTS}
         self.pose, self.scale, self.kp, self.kd = (
             np.array(per_joint(path, key, value, names)) for key, value in values.items()
         )
@@ -142,22 +125,22 @@ class _Replay:
         items = ("joint_order", "action_scale", "default_pose")
         if self.target is None or self.log.action is None:
             why = "the log has no joint targets by name" if self.target is None else "the log has no actions"
-            return {item: State(NOT_PROVEN, why) for item in items}
+            return _open(items, why)
         action, target = self.log.action, self.target
         if len(action) < FEWEST:
-            return {item: State(NOT_PROVEN, f"the log has {len(action)} rows, expected {FEWEST}") for item in items}
+            return _open(items, f"the log has {len(action)} rows, expected {FEWEST}")
         still = [name for name, spread in zip(self.names, action.std(0), strict=True) if spread < MOVES]
         if still:
-            return {item: State(NOT_PROVEN, f"the log hardly moves {still[0]}") for item in items}
+            return _open(items, f"the log hardly moves {still[0]}")
         off = np.abs(target - (self.pose + self.scale * action)).max(0)
         if np.all(off <= TARGET_TOLERANCE):
             why = f"{len(action)} targets are default pose + scale x action, by name, to {off.max():.1g} rad"
-            return {item: State(PROVEN, why) for item in items}
+            return _shown(items, why)
         wrong = explained(self.names, self.pose, self.scale, action, target)
         if wrong:
             raise self._refuted(wrong)
         why = f"targets are not default pose + scale x action (off by {off.max():.2g} rad; filtered, or clipped?)"
-        return {item: State(NOT_PROVEN, why) for item in items}
+        return _open(items, why)
 
     # ----------------------------------------------------------------------------------------- actions
 
@@ -212,7 +195,7 @@ class _Replay:
                 if self.log.action is not None:
                     return _shown("actions", why)
                 items = ("actions", "observation", "joint_order", "action_scale", "default_pose")
-                return {item: State(PROVEN, why) for item in items}
+                return _shown(items, why)
         return _open(
             "actions",
             f"actions replayed with observations built from the log's channels are off by {min(offs):.2g}: another "
@@ -310,17 +293,17 @@ class _Replay:
         items = ("gains", "delay")
         held = (self.target, self.position, self.velocity, self.torque)
         if any(one is None for one in held):
-            return _all_open(items, "the log has no joint torques with targets, angles and speeds")
+            return _open(items, "the log has no joint torques with targets, angles and speeds")
         target, position, velocity, torque = (one for one in held if one is not None)
         if len(target) < FEWEST + LONGEST_LAG:
-            return _all_open(items, f"the log has {len(target)} rows, expected {FEWEST + LONGEST_LAG}")
+            return _open(items, f"the log has {len(target)} rows, expected {FEWEST + LONGEST_LAG}")
         control = PositionControl(self.names, target, position, velocity, torque, self.limit())
         fits = [control.fit(lag) for lag in range(LONGEST_LAG + 1)]
         left = np.array([fit.left.max() for fit in fits])
         lag = int(left.argmin())
         if left[lag] > UNEXPLAINED:
             share = f"{100 * left[lag]:.0f} % of the log's torques, expected at most {100 * UNEXPLAINED:.0f} %"
-            return _all_open(items, f"position control leaves {share}")
+            return _open(items, f"position control leaves {share}")
         return self._gains(control, fits[lag]) | self._delay(lag, left)
 
     def limit(self) -> np.ndarray:
@@ -384,13 +367,9 @@ def _changes(values: np.ndarray | None) -> np.ndarray:
     return rows[rows >= 2]
 
 
-def _all_open(items: Sequence[str], why: str) -> dict[str, State]:
-    return {item: State(NOT_PROVEN, why) for item in items}
+def _open(items: str | tuple[str, ...], why: str) -> dict[str, State]:
+    return dict.fromkeys((items,) if isinstance(items, str) else items, State(NOT_PROVEN, why))
 
 
-def _open(item: str, why: str) -> dict[str, State]:
-    return {item: State(NOT_PROVEN, why)}
-
-
-def _shown(item: str, why: str) -> dict[str, State]:
-    return {item: State(PROVEN, why)}
+def _shown(items: str | tuple[str, ...], why: str) -> dict[str, State]:
+    return dict.fromkeys((items,) if isinstance(items, str) else items, State(PROVEN, why))

@@ -7,41 +7,30 @@ from pathlib import Path
 from hts.errors import PolicyError
 
 OURS = {
-    # mjlab and Isaac Lab, by the name of the term or of its function; mujoco_playground; legged_gym
-    "base_ang_vel": "angular_velocity",
-    "imu_ang_vel": "angular_velocity",
-    "gyro": "angular_velocity",
-    "gravity": "projected_gravity",
-    "velocity_commands": "command",
-    "generated_commands": "command",
-    "commands": "command",
-    "joint_pos": "joint_position_offset",
-    "joint_pos_rel": "joint_position_offset",
-    "dof_pos": "joint_position_offset",
-    "joint_vel": "joint_velocity",
-    "joint_vel_rel": "joint_velocity",
-    "dof_vel": "joint_velocity",
-    "actions": "last_action",
-    "last_act": "last_action",
-    "previous_actions": "last_action",
+    name: ours
+    for ours, names in {
+        # mjlab and Isaac Lab, by the name of the term or of its function; mujoco_playground; legged_gym
+        "angular_velocity": ("base_ang_vel", "imu_ang_vel", "gyro"),
+        "projected_gravity": ("gravity",),
+        "command": ("velocity_commands", "generated_commands", "commands"),
+        "joint_position_offset": ("joint_pos", "joint_pos_rel", "dof_pos"),
+        "joint_velocity": ("joint_vel", "joint_vel_rel", "dof_vel"),
+        "last_action": ("actions", "last_act", "previous_actions"),
+    }.items()
+    for name in names
 }
 """Another library's name -> ours, where both mean the same."""
 
 ABSOLUTE = "joint_position"
 """The joint angles themselves, not their distance from the default pose: a part that a layout may name."""
 
+SPEED = "the trunk's linear velocity"
 NOT_MEASURED = {
-    "base_lin_vel": "the trunk's linear velocity",
-    "imu_lin_vel": "the trunk's linear velocity",
-    "base_linear_velocity": "the trunk's linear velocity",
-    "base_velocity": "the trunk's linear velocity",
-    "linvel": "the trunk's linear velocity",
-    "body_velocity": "the trunk's linear velocity",
+    **dict.fromkeys(("base_lin_vel", "imu_lin_vel", "base_linear_velocity"), SPEED),
+    **dict.fromkeys(("base_velocity", "linvel", "body_velocity"), SPEED),
     "base_pos": "the trunk's position",
-    "base_pos_z": "the trunk's height",
-    "base_height": "the trunk's height",
-    "height_scan": "the heights of the ground around it",
-    "heights": "the heights of the ground around it",
+    **dict.fromkeys(("base_pos_z", "base_height"), "the trunk's height"),
+    **dict.fromkeys(("height_scan", "heights"), "the heights of the ground around it"),
     "foot_contact": "which feet touch the ground",
     "foot_contact_forces": "the forces under its feet",
     "foot_height": "the heights of its feet",
@@ -61,7 +50,7 @@ def refuse_unmeasured(path: Path, name: str) -> None:
         return
     what = NOT_MEASURED[name]
     held = ", or give it a constant that the policy was trained to walk with (hold: 0 in the layout)"
-    if what == "the trunk's linear velocity":
+    if what == SPEED:
         held = ", or let the command or a constant stand in for it (stand_in: command, or hold: 0, in the layout)"
     raise PolicyError(
         f"{path}: it observes '{name}', {what}, which no sensor of the robot measures. Train it again without this "

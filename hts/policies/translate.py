@@ -23,8 +23,8 @@ from hts.errors import PolicyError, unknown_name
 from hts.policies.contract import Contract, known_joints, per_joint
 from hts.policies.layout import Layout, Seen
 from hts.policies.terms import ABSOLUTE, our_name
+from hts.rl.population import CLIP
 
-CLIP = 10.0  # of our normalised observations, as in `Population.normalised`
 # What may reach a policy, in our units: up to there a source without a clip must not meet ours.
 REACH = {
     "angular_velocity": 20.0,  # rad/s
@@ -97,20 +97,16 @@ def translation(path: Path, robot: RobotSpec, layout: Layout, seen: Seen, contra
     for part in seen.parts:
         starts[str(part["name"])] = (first, int(part["size"]))
         first += int(part["size"])
-    entry, alpha, beta, own, factors, parts, at = [], [], [], [], [], [], 0
+    rows, parts, at = [], [], 0  # of each part entry, alpha, beta, own, factor
     for part in layout.observation:
         name, size = our_name(str(part["name"])), int(part["size"])
         factor = one = _scales(path, part, size)
         zero = torch.zeros(size, dtype=torch.float64)
         parts.append((name, at, size))
         at += size
-        factors.append(factor)
         if name not in starts and name != ABSOLUTE:
             kept, a, b = _in_its_place(path, part, starts, size)
-            entry.append(kept)
-            alpha.append(one * a)
-            beta.append(one * b)
-            own.append(torch.zeros(size, dtype=torch.bool))
+            rows.append((kept, factor * a, factor * b, torch.zeros(size, dtype=torch.bool), factor))
             continue
         begin, width = starts.get("joint_position_offset" if name == ABSOLUTE else name, (0, -1))
         if width != size:
@@ -128,25 +124,11 @@ def translation(path: Path, robot: RobotSpec, layout: Layout, seen: Seen, contra
         elif name == "last_action" and of_joints:
             zero = (-shift / gain)[place] * factor
             one = (1 / gain)[place] * factor
-        entry.append(begin + place)
-        alpha.append(one)
-        beta.append(zero)
-        own.append(torch.ones(size, dtype=torch.bool))
-    made = Translation(
-        entry=torch.cat(entry),
-        alpha=torch.cat(alpha),
-        beta=torch.cat(beta),
-        own=torch.cat(own),
-        factor=torch.cat(factors),
-        joints=joints,
-        gain=gain,
-        shift=shift,
-        parts=tuple(parts),
-    )
-    twice = made.entry[made.own]
-    if len(twice.unique()) != len(twice):
+        rows.append((begin + place, one, zero, torch.ones(size, dtype=torch.bool), factor))
+    entry, alpha, beta, own, factors = (torch.cat(column) for column in zip(*rows, strict=True))
+    if len(entry[own].unique()) != len(entry[own]):
         raise PolicyError(f"{path}: its layout names a part of the observation twice.")
-    return made
+    return Translation(entry, alpha, beta, own, factors, joints, gain, shift, tuple(parts))
 
 
 def _scales(path: Path, part: Mapping[str, Any], size: int) -> torch.Tensor:
@@ -184,7 +166,7 @@ def _in_its_place(
 
 
 def translated(
-    path: Path, robot: RobotSpec, network: Network, maps: Translation, seen: Seen, headroom: float = 1.0
+    path: Path, robot: RobotSpec, network: Network, maps: Translation, seen: Seen, headroom: float
 ) -> dict[str, torch.Tensor]:
     """Tensors of our actor with its normaliser (and log_std, if the source has sigmas). headroom: least factor by which
     our clip lies farther out than it would, where the source has none."""

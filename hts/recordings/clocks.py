@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hts.errors import RecordingError
+from hts.recordings.resample import interpolate
 
 LEAST_CORRELATION = 0.7
 RIVAL = 0.97
@@ -62,9 +63,8 @@ def clock_offset(
         other = lags[int(np.argmax(np.where(np.abs(np.arange(len(scores)) - at) > width, scores, -1)))]
         raise RecordingError(
             f"two offsets of the clocks fit nearly equally well (correlation {best:.3f} and {rival:.3f}, "
-            f"{abs(other - lags[at]) / rate_hz:.2f} s apart), as in a steady gait. Include a start, a stop or a "
-            "knock in "
-            "both logs, or name another signal."
+            f"{abs(other - lags[at]) / rate_hz:.2f} s apart), as in a steady gait. Include a start, a stop or a knock "
+            "in both logs, or name another signal."
         )
     begin = float(times[0]) - float(other_times[0])
     offset = begin + (lags[at] + _vertex(scores, at)) / rate_hz
@@ -85,7 +85,7 @@ def _even(times: np.ndarray, values: np.ndarray, rate_hz: float) -> np.ndarray:
             "stamps."
         )
     grid = times[0] + np.arange(count) / rate_hz
-    even = np.stack([np.interp(grid, times, column) for column in values.T], axis=1)
+    even = interpolate(times, values, grid)
     return even - even.mean(axis=0)
 
 
@@ -96,6 +96,8 @@ def _scores(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Each stretch has means of its own: with those of the whole logs a signal that settles at several levels is most
     alike at a wrong lag. Components are compared together: covariances and variances are summed over them.
     """
+    from scipy.signal import correlate
+
     lags = np.arange(-(len(b) - 1), len(a))
     in_a = np.maximum(lags, 0), np.minimum(lags + len(b), len(a))
     in_b = np.maximum(-lags, 0), np.minimum(len(a) - lags, len(b))
@@ -103,7 +105,7 @@ def _scores(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     together, square_a, square_b = np.zeros(len(lags)), np.zeros(len(lags)), np.zeros(len(lags))
     for x, y in zip(a.T, b.T, strict=True):
         sum_x, sum_y = _sums(x, *in_a), _sums(y, *in_b)
-        together += _products(x, y) - sum_x * sum_y / count
+        together += correlate(x, y, method="fft") - sum_x * sum_y / count
         square_a += _sums(x**2, *in_a) - sum_x**2 / count
         square_b += _sums(y**2, *in_b) - sum_y**2 / count
     floor = 1e-9 * max(float((a**2).sum()), float((b**2).sum()), 1e-30)
@@ -116,13 +118,6 @@ def _sums(x: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Of x over each stretch from begin to before end."""
     total = np.concatenate([[0.0], np.cumsum(x)])
     return total[end] - total[begin]
-
-
-def _products(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Sum over the common stretch of x times y, at each lag of y from -(len(y) - 1) to len(x) - 1."""
-    from scipy.signal import correlate
-
-    return np.asarray(correlate(x, y, method="fft"))
 
 
 def _half_width(scores: np.ndarray, at: int) -> int:

@@ -78,8 +78,8 @@ def of_last_line(
         return "", False
     whole = [one for one in (_cells(row, log) for row in line.rows) if len(one) == len(names)]
     others = [one[-1] for one in whole if one[-1].strip() not in missing]
-    numbers = [_number(one, log) for one in others]
-    last = _number(cells[-1], log)
+    numbers = [number_of(one, log) for one in others]
+    last = number_of(cells[-1], log)
     if last is None:  # among dates, or other words, it is what the mapping says that is wrong
         return cut if numbers and None not in numbers else ("", False)
     is_time = names[-1] == (str(log.time.column) if log.header else names[int(log.time.column)])
@@ -99,7 +99,8 @@ def _cells(line: str, log: CsvMapping) -> list[str]:
     return next(csv.reader([line], delimiter=log.delimiter), [])
 
 
-def _number(cell: str, log: CsvMapping) -> float | None:
+def number_of(cell: str, log: CsvMapping) -> float | None:
+    """The number in a cell; None where there is none."""
     try:
         return float(cell.strip().replace(log.decimal, "."))
     except ValueError:

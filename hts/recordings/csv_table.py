@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow, numbers_of, stamps_of
-from hts.recordings.csv_end import Unended, of_last_line, unended_line
+from hts.recordings.csv_end import Unended, number_of, of_last_line, unended_line
 from hts.recordings.encoding import escaped, in_place, not_plain, not_utf8
 from hts.recordings.table import AGAIN, ColumnName, Table, cannot_be_read, no_column, row_of_data, whole_rows
 
@@ -181,15 +181,8 @@ def _text_before(path: Path, log: CsvMapping, number: int) -> bool:
         return False
     with path.open(encoding="utf-8", errors="replace") as file:
         lines = [line for line in itertools.islice(file, log.preamble + int(log.header), number - 1) if line.strip()]
-    return not any(all(_is_number(cell, log.decimal) for cell in line.split(log.delimiter)) for line in lines)
-
-
-def _is_number(cell: str, decimal: str) -> bool:
-    try:
-        float(cell.strip().replace(decimal, ".") or "nan")
-    except ValueError:
-        return False
-    return True
+    rows = [[cell for cell in line.split(log.delimiter) if cell.strip()] for line in lines]
+    return all(any(number_of(cell, log) is None for cell in row) for row in rows)
 
 
 def _other_delimiter(path: Path, log: CsvMapping) -> str:

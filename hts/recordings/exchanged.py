@@ -15,9 +15,9 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from hts import units
 from hts.recordings.recording import Series
 from hts.recordings.repeated import moving
-from hts.recordings.unread import is_voltage
 
 LEAST_CHARGE = 10.0
 """Percent, of the whole, by which the charge steps up."""
@@ -36,7 +36,7 @@ def exchanged_notes(channels: Mapping[str, Series], rate_hz: float, stated: Coll
     """
     block = max(1, round(BLOCK_SECONDS * rate_hz))
     single = {name: one for name, one in channels.items() if one.values.ndim == 1 and name not in stated}
-    voltages = {name: one for name, one in single.items() if is_voltage(one.channel.unit)}
+    voltages = {name: one for name, one in single.items() if units.one_quantity(one.channel.unit, "V")}
     walks = moving(channels, rate_hz)
     for name, series in single.items():
         percent = _percent(series)

@@ -60,8 +60,9 @@ def foot_notes(recording: Recording, robot: Robot, stated: Collection[str] = ())
 
 
 def _scale_notes(recording: Recording, model: mujoco.MjModel, force: np.ndarray, walks: np.ndarray) -> dict[str, str]:
-    mass = recording.mass_kg or float(model.body_mass[model.body_weldid != 0].sum())  # of what can move
-    weight = 9.81 * mass
+    from hts.sim.models import moving_mass
+
+    weight = 9.81 * (recording.mass_kg or moving_mass(model))
     share = float(force[walks].sum(axis=1).mean()) / weight
     swings = float(force[walks].std(axis=0).sum()) / weight
     if not (share > MUCH or (share < LITTLE and swings < SWINGS * share)):

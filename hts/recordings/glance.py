@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
@@ -157,8 +158,6 @@ def _rectangle(rows: list[Any]) -> np.ndarray:
 
 
 def _npz(path: Path) -> Glance:
-    import zipfile
-
     from hts.recordings.npz_reader import read_array
 
     try:

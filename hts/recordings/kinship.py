@@ -35,15 +35,14 @@ def check_kinship(store: RecordingStore | None, recordings: Sequence[Recording])
             if difference:
                 raise RecordingError(
                     f"{name}: {difference[0]}, but {other} {difference[1]}. Correct the mapping, or import into "
-                    "another "
-                    "store: a model is fitted to all of one."
+                    "another store: a model is fitted to all of one."
                 )
         known.append((name, attributes))
 
 
 def differs(one: dict[str, Any], other: dict[str, Any]) -> tuple[str, str] | None:
-    """The first thing in which the attributes of two recordings do not go together, as told of each; None if "
-    "nothing."""
+    """The first thing in which the attributes of two recordings do not go together, as told of each; None if
+    nothing."""
     if one["robot"] != other["robot"]:
         return f"it is of robot '{one['robot']}'", f"of '{other['robot']}'"
     if one["joint_names"] != other["joint_names"]:

@@ -41,16 +41,13 @@ def read_labels(path: Path, labels: LabelsMapping) -> list[Label]:
         for column in (labels.start, labels.end, labels.label):
             if column not in names:
                 raise RecordingError(f"{path}: " + unknown_name("column", column, names))
-        found = [_label(f"{path}: line {rows.line_num}", row, labels) for row in rows if any(_filled(row))]
+        filled = (row for row in rows if any(isinstance(cell, str) and cell.strip() for cell in row.values()))
+        found = [_label(f"{path}: line {rows.line_num}", row, labels) for row in filled]
     except csv.Error as error:
         raise RecordingError(f"{path}: not a table of labels ({error}). Repair the file.") from error
     if not found:
         raise RecordingError(f"{path}: no labels. Write one stretch a line, or leave `labels` out of the mapping.")
     return sorted(found)
-
-
-def _filled(row: dict[str, str]) -> list[str]:
-    return [cell for cell in row.values() if isinstance(cell, str) and cell.strip()]
 
 
 def _label(where: str, row: dict[str, str], labels: LabelsMapping) -> Label:

@@ -70,8 +70,7 @@ def _same(one: Recording, first: Recording) -> None:
         if getattr(one, what) != getattr(first, what):
             raise RecordingError(
                 f"Recording {one.id}: {what} is {getattr(one, what)}, of {first.id} {getattr(first, what)}. Export "
-                "each kind "
-                "by itself, by naming its recordings."
+                "each kind by itself, by naming its recordings."
             )
     for name, series in first.channels.items():
         if name not in one.channels or one.channels[name].channel.shape != series.channel.shape:

@@ -116,7 +116,6 @@ def recording_from_columns(
     becomes a RecordingError that names the file. Raises ConfigError for a wrong mapping, RecordingError naming file,
     column and what to do for a wrong log.
     """
-
     return recording_from_tables(files, parse_mapping(mapping), robot, _reading(columns_of))
 
 
@@ -128,10 +127,7 @@ def recordings_from_columns(
 
 
 def recording_from_tables(
-    files: Sequence[Path],
-    log: Mapped,
-    robot: Robot,
-    read: Callable[[Path, Sequence[ColumnName], Mapped], Table],
+    files: Sequence[Path], log: Mapped, robot: Robot, read: Callable[[Path, Sequence[ColumnName], Mapped], Table]
 ) -> Recording:
     """The same from tables of which only the wanted columns are read: read(file, wanted, mapping) -> Table.
 
@@ -142,17 +138,13 @@ def recording_from_tables(
         where = ", ".join(str(path) for path in files)
         raise RecordingError(
             f"{where}: {len(recordings)} runs, where one recording is read. Take one by `runs` or `labels`; a reader "
-            "of "
-            "several has a `read_all` with recordings_from_columns."
+            "of several has a `read_all` with recordings_from_columns."
         )
     return recordings[0]
 
 
 def recordings_from_tables(
-    files: Sequence[Path],
-    log: Mapped,
-    robot: Robot,
-    read: Callable[[Path, Sequence[ColumnName], Mapped], Table],
+    files: Sequence[Path], log: Mapped, robot: Robot, read: Callable[[Path, Sequence[ColumnName], Mapped], Table]
 ) -> list[Recording]:
     """One recording for each run that the mapping's `runs` or `labels` tell apart; one where it has neither."""
     check_joint_order(log, robot.spec.joint_names)
@@ -303,16 +295,16 @@ def _notes(
         if ends:
             named = len(tables) > 1
             notes[key] = ", ".join(f"{one.path.name}: {one.last_line}" if named else one.last_line for one in ends)
-    if any(dropped.values()):
-        notes["rows_outside_limits_dropped"] = ", ".join(f"{name} {count}" for name, count in dropped.items() if count)
     drawn = {name: one for name, one in samples.items() if one.oldest is None}
     inside = {name: int(((one.left_out > grid[0]) & (one.left_out < grid[-1])).sum()) for name, one in drawn.items()}
-    filled = [f"{name} {count - dropped[name]}" for name, count in inside.items() if count > dropped[name]]
-    if filled:
-        notes["incomplete_rows_filled"] = ", ".join(filled)
-    lines = {name: interpolated(one, grid, log.rate_hz) for name, one in drawn.items()}
-    if any(lines.values()):
-        notes["samples_interpolated_in_gaps"] = ", ".join(f"{name} {count}" for name, count in lines.items() if count)
+    counts = {
+        "rows_outside_limits_dropped": dropped,
+        "incomplete_rows_filled": {name: count - dropped[name] for name, count in inside.items()},
+        "samples_interpolated_in_gaps": {name: interpolated(one, grid, log.rate_hz) for name, one in drawn.items()},
+    }
+    for key, found in counts.items():
+        if told := ", ".join(f"{name} {count}" for name, count in found.items() if count > 0):
+            notes[key] = told
     stand = [f"{n} from {one.rate_hz:.4g} Hz, for up to {one.oldest:.3g} s" for n, one in samples.items() if one.oldest]
     if stand:
         notes["readings_held"] = "; ".join(stand)

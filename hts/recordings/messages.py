@@ -173,6 +173,11 @@ def _decoded(path: Path, topic: str, definitions: Mapping[str, str]) -> Iterator
         yield Message(raw.log_time, raw.publish_time, decoders[key](raw.data))
 
 
+def _check_cdr(path: Path, topic: str, encoding: str) -> None:
+    if encoding != "cdr":
+        raise RecordingError(f"{path}: topic '{topic}' holds messages in '{encoding}', expected cdr, as ROS 2 does.")
+
+
 def _decoder(path: Path, topic: str, raw: _Raw, definitions: Mapping[str, str]) -> Callable[[bytes], Any]:
     from mcap.records import Schema
     from mcap_ros2.decoder import DecoderFactory
@@ -188,9 +193,8 @@ def _decoder(path: Path, topic: str, raw: _Raw, definitions: Mapping[str, str]) 
         decode = DecoderFactory().decoder_for("cdr", Schema(id=1, name=raw.kind, encoding=encoding, data=text))
     if decode is None:
         raise RecordingError(
-            f"{path}: topic '{topic}' is written as '{raw.encoding}', expected ROS 2 messages (ros2msg, cdr). "
-            "Convert the "
-            "file, or give the definition under `definitions`."
+            f"{path}: topic '{topic}' is written as '{raw.encoding}', expected ROS 2 messages (ros2msg, cdr). Convert "
+            "the file, or give the definition under `definitions`."
         )
     return decode
 
@@ -212,11 +216,7 @@ def _mcap(path: Path, topic: str) -> Iterator[_Raw]:
             channel = channels[record.channel_id]
             if channel.topic != topic:
                 continue
-            if channel.message_encoding != "cdr":
-                raise RecordingError(
-                    f"{path}: topic '{topic}' holds messages in '{channel.message_encoding}', expected cdr, as ROS 2 "
-                    "does."
-                )
+            _check_cdr(path, topic, channel.message_encoding)
             schema = schemas[channel.schema_id]
             times = record.log_time, record.publish_time
             yield _Raw(*times, record.data, schema.name, schema.encoding, schema.data)
@@ -298,22 +298,16 @@ def _opened(path: Path) -> sqlite3.Connection:
 
 
 def _sqlite(path: Path, topic: str) -> Iterator[_Raw]:
-    base = _opened(path)
-    try:
+    with contextlib.closing(_opened(path)) as base:
         known = base.execute("SELECT id, type, serialization_format FROM topics WHERE name = ?", (topic,)).fetchall()
         texts = _sqlite_definitions(base)
         for number, kind, form in known:
-            if form != "cdr":
-                raise RecordingError(
-                    f"{path}: topic '{topic}' holds messages in '{form}', expected cdr, as ROS 2 does."
-                )
+            _check_cdr(path, topic, form)
             # Not by their stamps: that would mix two stretches where the recorder's clock was set back.
             rows = base.execute("SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY id", (number,))
             encoding, text = texts.get(kind, ("ros2msg", b""))
             for stamp, data in rows:
                 yield _Raw(int(stamp), int(stamp), bytes(data), kind, encoding, text)
-    finally:
-        base.close()
 
 
 def _sqlite_definitions(base: sqlite3.Connection) -> dict[str, tuple[str, bytes]]:
@@ -325,11 +319,8 @@ def _sqlite_definitions(base: sqlite3.Connection) -> dict[str, tuple[str, bytes]
 
 
 def _sqlite_topics(path: Path) -> dict[str, str]:
-    base = _opened(path)
-    try:
+    with contextlib.closing(_opened(path)) as base:
         return {str(name): str(kind) for name, kind in base.execute("SELECT name, type FROM topics")}
-    finally:
-        base.close()
 
 
 def no_topic(path: Path, topic: str) -> RecordingError:

@@ -73,9 +73,8 @@ def check_motion(
         hint = f"it is {ratio:.3g} times the slope of the positions: one of them is in another unit"
     if hint:
         raise RecordingError(
-            f"{where}: 'joint_velocity' is not how fast 'joint_position' changes (correlation {own:.2f} for the "
-            "joint in "
-            f"the middle): {hint}. Correct the mapping; if both are right, say so with `limits`."
+            f"{where}: 'joint_velocity' is not how fast 'joint_position' changes (correlation {own:.2f} for the joint "
+            f"in the middle): {hint}. Correct the mapping; if both are right, say so with `limits`."
         )
 
 

@@ -7,7 +7,6 @@ array of objects would be code, and a few bytes can announce any amount of memor
 from __future__ import annotations
 
 import math
-import re
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -18,7 +17,7 @@ import numpy as np
 
 from hts.errors import RecordingError
 from hts.recordings.logs import LogMapping, Table, table_of
-from hts.recordings.table import ColumnName, cannot_be_read, no_column
+from hts.recordings.table import ColumnName, cannot_be_read, place_of
 from hts.recordings.table_reader import TableReader
 
 if TYPE_CHECKING:
@@ -42,7 +41,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
     try:
         with zipfile.ZipFile(path) as file:
             members = {name.removesuffix(".npy"): one for one in file.infolist() if (name := one.filename)}
-            places = {column: _place(path, str(column), list(members)) for column in (time, *wanted)}
+            places = {column: place_of(path, str(column), list(members)) for column in (time, *wanted)}
             arrays = {
                 name: read_array(path, name, file, members[name]) for name in {name for name, _ in places.values()}
             }
@@ -55,21 +54,10 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
     for column, values in columns.items():
         if len(values) != len(columns[time]):
             raise RecordingError(
-                f"{path}: '{column}' has {len(values)} rows, the time '{time}' {len(columns[time])}. Expected one "
-                "row of "
-                "each a time step; name another."
+                f"{path}: '{column}' has {len(values)} rows, the time '{time}' {len(columns[time])}. Expected one row "
+                "of each a time step; name another."
             )
     return table_of(path, time, log.time.unit, wanted, columns, log.runs.column if log.runs else None)
-
-
-def _place(path: Path, column: str, names: Sequence[str]) -> tuple[str, int | None]:
-    """The array, and which entry of its second axis is meant."""
-    if column in names:
-        return column, None
-    entry = re.fullmatch(r"(.+)\[(\d{1,6})\]", column)
-    if entry is not None and entry[1] in names:
-        return entry[1], int(entry[2])
-    raise RecordingError(f"{path}: {no_column(column, names)}")
 
 
 def read_array(path: Path, name: str, file: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
@@ -83,9 +71,8 @@ def read_array(path: Path, name: str, file: zipfile.ZipFile, member: zipfile.Zip
             )
         if header + size != member.file_size:
             raise RecordingError(
-                f"{path}: '{name}' says it is {dtype} of shape {shape}, {size} bytes, but "
-                f"{member.file_size - header} are "
-                "there. The file is damaged; copy it again."
+                f"{path}: '{name}' says it is {dtype} of shape {shape}, {size} bytes, but {member.file_size - header} "
+                "are there. The file is damaged; copy it again."
             )
         if size > UNPACKED and size > MOST_SQUEEZED * member.compress_size:
             raise RecordingError(

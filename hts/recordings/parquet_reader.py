@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hts.errors import RecordingError
 from hts.recordings.arrow import needs_pyarrow, numbers_of, stamps_of
 from hts.recordings.logs import LogMapping, Table
-from hts.recordings.table import ColumnName, cannot_be_read, no_column, whole_rows
+from hts.recordings.table import ColumnName, cannot_be_read, place_of, whole_rows
 from hts.recordings.table_reader import TableReader
 
 if TYPE_CHECKING:
@@ -32,7 +31,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
     try:
         with path.open("rb") as opened, parquet.ParquetFile(opened) as file:
             names = file.schema_arrow.names
-            found = {column: _column(path, str(column), file.schema_arrow) for column in (time, *wanted)}
+            found = {column: place_of(path, str(column), names) for column in (time, *wanted)}
             table = file.read(columns=sorted({name for name, _ in found.values()}), use_threads=False)
     except (pa.ArrowException, OSError) as error:
         if isinstance(error, OSError) and error.errno is not None:  # pyarrow raises OSError for damaged files, too
@@ -45,16 +44,6 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
     stamps, there = stamps_of(path, time, log.time.unit, picked[time])
     columns = {column: numbers_of(path, column, picked[column]) for column in wanted}
     return whole_rows(path, time, stamps, there, columns, log.runs.column if log.runs else None, unit=log.time.unit)
-
-
-def _column(path: Path, name: str, schema: Any) -> tuple[str, int | None]:
-    """The file's own column, and which entry of its lists is meant: `q[3]` is the fourth of `q`."""
-    if name in schema.names:
-        return name, None
-    entry = re.fullmatch(r"(.+)\[(\d{1,6})\]", name)
-    if entry is not None and entry[1] in schema.names:
-        return entry[1], int(entry[2])
-    raise RecordingError(f"{path}: {no_column(name, schema.names)}")
 
 
 def _picked(path: Path, column: ColumnName, chunked: Any, entry: int | None) -> Any:

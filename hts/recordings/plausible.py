@@ -6,7 +6,6 @@ Logs exist whose header says torque over columns that hold motor temperatures. U
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import suppress
 
 import numpy as np
 
@@ -83,7 +82,7 @@ def check_idle(channels: Mapping[str, Series], idle: Mapping[str, float], where:
     for name, level in idle.items():
         series = channels[name]
         unit, median = series.channel.unit, float(np.median(series.values))
-        by_ratio, draws = not units.is_temperature(unit), _draws(unit)
+        by_ratio, draws = not units.is_temperature(unit), any(units.one_quantity(unit, drawn) for drawn in ("A", "W"))
         if series.channel.may_be_constant or (level == 0 and by_ratio and not draws):
             continue
         ratio = median / level if by_ratio and level != 0 else 1.0
@@ -108,15 +107,6 @@ def check_idle(channels: Mapping[str, Series], idle: Mapping[str, float], where:
                 f"{where}: '{name}' is {median:.4g} {unit} at the median, its idle level {level:g} {unit}. {hint}; if "
                 "it is right, say so with `limits`."
             )
-
-
-def _draws(unit: str) -> bool:
-    """Whether it is a unit of what a machine draws, such as A, mA or W."""
-    for drawn in ("A", "W"):
-        with suppress(RecordingError):
-            units.conversion(unit, drawn)
-            return True
-    return False
 
 
 def _below_idle(series: Series, level: float, channels: Mapping[str, Series]) -> float:
@@ -147,7 +137,9 @@ def check_facts(recording: Recording, robot: Robot, where: str) -> None:
     model = None if recording.mass_kg is None else robot_model(robot)
     if recording.mass_kg is None or model is None:
         return
-    mass = float(model.body_mass[model.body_weldid != 0].sum())  # of what can move
+    from hts.sim.models import moving_mass
+
+    mass = moving_mass(model)
     if mass > 0 and not 1 / MASS_FACTOR <= recording.mass_kg / mass <= MASS_FACTOR:
         raise RecordingError(
             f"{where}: recording.mass_kg is {recording.mass_kg:g} kg, the model of '{robot.spec.name}' has {mass:.3g} "

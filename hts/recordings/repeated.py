@@ -87,6 +87,7 @@ def moving(channels: Mapping[str, Series], rate_hz: float) -> np.ndarray | None:
 
 
 def runs_of(same: np.ndarray) -> list[tuple[int, int]]:
-    """First and last sample of each stretch that is the same. same: (T - 1,) bool, of each step to the next sample."""
+    """(start, stop) of the stretches of True in bool (T,); of steps from a sample to the next, as of what stays the
+    same, the first and last sample of each."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

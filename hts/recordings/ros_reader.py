@@ -70,8 +70,7 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: RosMapping) -> Tab
             what = " ".join(str(error).split())
             raise RecordingError(
                 f"{path}: message {count + 1} of '{topic}' does not give what the mapping asks for: {what:.160}. It "
-                "has "
-                f"{_fields(message.content)}."
+                f"has {', '.join(fields_of(message.content)[:40]) or 'no fields'}."
             ) from error
     if not stamps:
         raise no_topic(path, topic)
@@ -172,7 +171,3 @@ def _place(holder: Any, name: str) -> int:
     if name not in names:
         raise LookupError(f"'{name}' is not among its names ({', '.join(map(str, names[:20])) or 'it has no `name`'})")
     return names.index(name)
-
-
-def _fields(content: Any) -> str:
-    return ", ".join(fields_of(content)[:40]) or "no fields"

@@ -68,12 +68,7 @@ def listed(names: Sequence[str], most: int = 3) -> str:
 
 
 def samples_of(
-    name: str,
-    times: np.ndarray,
-    values: np.ndarray,
-    where: str,
-    columns: str = "",
-    components: Sequence[str] = (),
+    name: str, times: np.ndarray, values: np.ndarray, where: str, columns: str = "", components: Sequence[str] = ()
 ) -> Samples:
     """The samples of channel `name`: times (rows,) s, values (rows,) or (rows, k), NaN where the log has nothing.
 
@@ -168,15 +163,14 @@ def common_grid(
                 f"{one.where}: '{name}'{f' ({said})' if said else ''} has nothing for {widths[longest]:.3g} s, "
                 f"from {one.times[longest]:.3f} s on; {_until(one, max_gap_seconds, rate_hz, widths[longest])}"
             )
+    where = ", ".join(dict.fromkeys(one.where for one in samples.values()))
     if (end - start) * rate_hz > MOST_SAMPLES:
-        where = ", ".join(dict.fromkeys(one.where for one in samples.values()))
         raise RecordingError(
             f"{where}: from first to last stamp {end - start:.3g} s pass, {MOST_SAMPLES / rate_hz:.3g} s are the most; "
             "probably the clock jumped, or the unit of the stamps is another (time.unit). Cut the log at the jump."
         )
     count = int(np.floor((end - start) * rate_hz + 1e-6)) + 1 if end > start else 0
     if count < 2:
-        where = ", ".join(dict.fromkeys(one.where for one in samples.values()))
         raise RecordingError(f"{where}: the channels share no stretch of time. Check the time column and its unit.")
     grid = np.minimum(start + np.arange(count) / rate_hz, end)
     for name, one in samples.items():

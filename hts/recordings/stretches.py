@@ -101,8 +101,7 @@ def _labelled(
             if kept.sum() < 2:
                 raise RecordingError(
                     f"{table.path}: nothing is there from {one.start:g} to {one.end:g} s, labelled '{one.word}'; it "
-                    "lasts "
-                    f"{times[source][-1]:.4g} s. Correct the labels, or the unit of the stamps."
+                    f"lasts {times[source][-1]:.4g} s. Correct the labels, or the unit of the stamps."
                 )
             part[source], inside[source] = table.rows(kept), times[source][kept]
         earliest = min(one[0] for one in inside.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -161,6 +162,17 @@ def no_column(name: str, names: Sequence[str]) -> str:
     shown = list(names) if len(names) <= 40 else [*names[:40], f"… {len(names) - 40} more"]
     hint = unknown_name("column", name, names).split(" Known: ", maxsplit=1)[0]
     return f"{hint} The file has: {', '.join(shown)}."
+
+
+def place_of(path: Path, column: str, names: Sequence[str]) -> tuple[str, int | None]:
+    """Which of the file's own columns is meant, and which entry of its lists: `q[3]` is the fourth of `q`. Raises
+    RecordingError for one that is not there."""
+    if column in names:
+        return column, None
+    entry = re.fullmatch(r"(.+)\[(\d{1,6})\]", column)
+    if entry is not None and entry[1] in names:
+        return entry[1], int(entry[2])
+    raise RecordingError(f"{path}: {no_column(column, names)}")
 
 
 def not_a_time(path: Path, time: ColumnName, unit: str, first: object, how: str = "it begins with") -> RecordingError:

@@ -35,20 +35,16 @@ def temperature_notes(
             continue
         scale, offset = units.conversion(series.channel.unit, "degC")
         median = scale * float(np.median(series.values)) + offset
-        in_deg_f = FAHRENHEIT[0] * median + FAHRENHEIT[1]
-        if _is_deg_c(unit) and median > HOT_DEG_C:
+        deg_c, in_deg_f = units.same_unit(unit, "degC"), FAHRENHEIT[0] * median + FAHRENHEIT[1]
+        if deg_c and median > HOT_DEG_C:
             other = (median - FAHRENHEIT[1]) / FAHRENHEIT[0]
             found.append(
                 f"{name} is {median:.3g} degC at the median, hotter than drives may get for long: does the log count "
                 f"in degF (then it is {other:.3g} degC; say unit: degF)?"
             )
-        elif not _is_deg_c(unit) and COLD_DEG_F[0] < in_deg_f < COLD_DEG_F[1]:
+        elif not deg_c and COLD_DEG_F[0] < in_deg_f < COLD_DEG_F[1]:
             found.append(
                 f"{name} is {in_deg_f:.3g} degF ({median:.3g} degC) at the median, colder than a room: does the log "
                 "count in degC (say unit: degC)?"
             )
     return {"temperature_unit": " ".join(found)} if found else {}
-
-
-def _is_deg_c(unit: str) -> bool:
-    return units.conversion(unit, "degC") == (1.0, 0.0)

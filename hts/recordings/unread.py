@@ -46,11 +46,14 @@ def check_read(
     if pace is None or longest_seconds == 0:
         return
     walks = pace > MOVING
-    single = [one for one in channels.values() if one.values.shape == pace.shape and is_voltage(one.channel.unit)]
+    single = [
+        one for one in channels.values() if one.values.shape == pace.shape and units.one_quantity(one.channel.unit, "V")
+    ]
     walk = Walk(walks, pace, [one.values for one in single], rate_hz)
     for name in measured:
         series = channels[name]
-        if series.channel.may_be_constant or len(series.values) != len(walks) or is_voltage(series.channel.unit):
+        unit = series.channel.unit
+        if series.channel.may_be_constant or len(series.values) != len(walks) or units.one_quantity(unit, "V"):
             continue
         values = series.values.reshape(len(walks), -1).astype(np.float64)
         tolerance = SAME * float(np.abs(values).max())
@@ -63,7 +66,7 @@ def check_read(
             if coarse and stands_by_resolution(values[:, 0], (first, last), walk, longest, tolerance):
                 continue
             if moved > longest:
-                number = f"{values[first, 0]:g} {series.channel.unit}"
+                number = f"{values[first, 0]:g} {unit}"
                 stays = f"is {number}" if values.shape[1] == 1 else "keeps the numbers of all its components"
                 raise RecordingError(
                     f"{where}: '{name}' {stays} from {first / rate_hz:.2f} to "
@@ -72,12 +75,3 @@ def check_read(
                     f"log there; if '{name}' may honestly stand still for so long, say may_be_constant: true of it in "
                     "the mapping, or for how long there: frozen_real_seconds."
                 )
-
-
-def is_voltage(unit: str) -> bool:
-    """Whether it is a unit of voltages, such as V or mV."""
-    try:
-        units.conversion(unit, "V")
-    except RecordingError:
-        return False
-    return True

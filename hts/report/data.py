@@ -82,10 +82,19 @@ class RunData:
         """The same by simulated scores, [{"iteration", "ids"}]."""
         return list((self.summary.get("front") or {}).get("simulation") or [])
 
+    @property
+    def candidates(self) -> list[Json]:
+        """Of all iterations."""
+        return [candidate for iteration in self.iterations for candidate in iteration.get("candidates") or []]
+
+    @property
+    def chosen(self) -> str | None:
+        """The policy that is the result."""
+        return (self.summary.get("final") or {}).get("policy")
+
     def candidate(self, name: str) -> Json:
         """A candidate by its id, {} for the pretrained policy."""
-        everyone = [candidate for iteration in self.iterations for candidate in iteration.get("candidates") or []]
-        return next((candidate for candidate in everyone if candidate["id"] == name), {})
+        return next((candidate for candidate in self.candidates if candidate["id"] == name), {})
 
     def unit(self, objective: str) -> str:
         units = (self.summary.get("front") or {}).get("units") or {}  # there is not always a final head-to-head

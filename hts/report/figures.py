@@ -12,7 +12,7 @@ import numpy as np
 from hts.policy_ids import PRETRAINED
 from hts.report import wording
 from hts.report.data import Json, RunData
-from hts.report.style import ACCENT, INK, MARKERS, REFERENCE, SOFT, error_bar, figure, ramp, zero_line
+from hts.report.style import ACCENT, INK, MARKERS, REFERENCE, SOFT, error_bar, figure, legend_mark, ramp, zero_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -322,15 +322,6 @@ def _legend_beside(panel: Axes, first: str) -> None:
 
 
 def _legend(styles: _Styles, objective: str) -> list:
-    from matplotlib.lines import Line2D
-
-    colors = [
-        Line2D([], [], marker="o", linestyle="none", color=color, label=f"λ {name} {objective}".rstrip())
-        for name, color in styles.legend.items()
-    ]
-    anchors = [
-        Line2D([], [], marker=marker, linestyle="none", color=SOFT, label=f"from {anchor}")
-        for anchor, marker in styles.markers.items()
-    ]
-    ring = Line2D([], [], marker="o", markersize=9, linestyle="none", markerfacecolor="none", color=INK, label="elite")
-    return [*colors, *anchors, ring]
+    colors = [legend_mark(f"λ {name} {objective}".rstrip(), color=color) for name, color in styles.legend.items()]
+    anchors = [legend_mark(f"from {anchor}", marker) for anchor, marker in styles.markers.items()]
+    return [*colors, *anchors, legend_mark("elite", color=INK, markersize=9, markerfacecolor="none")]

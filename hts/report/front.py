@@ -23,9 +23,7 @@ def front_part(run: RunData, note: str = "") -> dict[str, Any] | None:
     note: as of `style.embedded`."""
     if len(run.objectives) < 2 or not run.front:
         return None
-    tested = sum(
-        bool(candidate.get("real")) for iteration in run.iterations for candidate in iteration.get("candidates") or []
-    )
+    tested = sum(bool(candidate.get("real")) for candidate in run.candidates)
     return {
         "text": front_text(run, tested),
         "speeds": _speeds(run),
@@ -41,7 +39,7 @@ def front_text(run: RunData, tested: int) -> str:
     names = " and ".join(run.objectives)
     found = [entry for entry in run.front if entry["id"] != PRETRAINED]
     if not found:
-        fell = any(candidate.get("fell") for one in run.iterations for candidate in one.get("candidates") or ())
+        fell = any(candidate.get("fell") for candidate in run.candidates)
         upright = " without falling" if fell else ""
         none = f"None of the {tested} policies tried {run.where} gains in any of {names}{upright}"
         return f"{none}: the pretrained policy is the front."
@@ -65,7 +63,6 @@ def _speeds(run: RunData) -> str:
 
 def front_rows(run: RunData) -> list[dict[str, Any]]:
     """The table of the front, best first in the first objective."""
-    best = (run.summary.get("final") or {}).get("policy")
     rows = []
     order = sorted(run.front, key=lambda entry: -entry["improvements"][run.objectives[0]]["selection_score"])
     for entry in order:
@@ -73,7 +70,7 @@ def front_rows(run: RunData) -> list[dict[str, Any]]:
         rows.append(
             {
                 "id": entry["id"],
-                "best": entry["id"] == best,
+                "best": entry["id"] == run.chosen,
                 "weights": wording.weights(candidate["weights"]) if candidate else "–",
                 "bound": wording.bound(candidate["kl_bound"]) if candidate else "–",
                 "gains": [
@@ -89,7 +86,7 @@ def front_rows(run: RunData) -> list[dict[str, Any]]:
     return rows
 
 
-def front_figures(run: RunData, note: str = "") -> list[dict[str, str]]:
+def front_figures(run: RunData, note: str) -> list[dict[str, str]]:
     import matplotlib
 
     from hts.report import front_figure, style

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hts.policy_ids import PRETRAINED
 from hts.report import wording
 from hts.report.data import Json, RunData
-from hts.report.style import ACCENT, INK, MARKERS, REFERENCE, SOFT, figure, ramp
+from hts.report.style import ACCENT, INK, MARKERS, REFERENCE, SOFT, figure, legend_mark, ramp
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,11 +32,10 @@ def front(run: RunData, pair: tuple[str, str]) -> Figure | None:
 
 def _tested(run: RunData, pair: tuple[str, str]) -> Iterator[tuple[Json, list[Json]]]:
     """(candidate, its results in both objectives) of everything that was measured."""
-    for iteration in run.iterations:
-        for candidate in iteration.get("candidates") or []:
-            real = candidate.get("real") or {}
-            if all(real.get(name) for name in pair):
-                yield candidate, [next(iter(real[name].values())) for name in pair]
+    for candidate in run.candidates:
+        real = candidate.get("real") or {}
+        if all(real.get(name) for name in pair):
+            yield candidate, [next(iter(real[name].values())) for name in pair]
 
 
 def counts(candidate: Json, objective: str, result: Json) -> tuple[float, Sequence[float] | None]:
@@ -56,7 +55,7 @@ def counts(candidate: Json, objective: str, result: Json) -> tuple[float, Sequen
 def _measured(panel: Axes, run: RunData, pair: tuple[str, str], tested: Sequence[tuple[Json, list[Json]]]) -> None:
     factors = [wording.scale(run.unit(name)) for name in pair]
     on_front = {entry["id"] for entry in run.front}
-    best = (run.summary.get("final") or {}).get("policy")
+    best = run.chosen
     _cross(panel)
     line: list[PAIR] = []
     for candidate, results in sorted(tested, key=lambda item: item[0]["id"] in on_front):
@@ -149,22 +148,12 @@ def _simulated(panel: Axes, run: RunData, pair: tuple[str, str]) -> None:
 
 
 def _legend(rounds: Sequence[tuple[int, Json]]) -> list[Any]:
-    from matplotlib.lines import Line2D
-
     marks = [
-        Line2D(
-            [],
-            [],
-            marker=MARKERS[position % len(MARKERS)],
-            linestyle="none",
-            color=ramp(position, len(rounds)),
-            label=f"iteration {index}",
-        )
+        legend_mark(f"iteration {index}", MARKERS[position % len(MARKERS)], ramp(position, len(rounds)))
         for position, (index, _) in enumerate(rounds)
     ]
-    ring = Line2D([], [], marker="o", markersize=9, linestyle="none", markerfacecolor="none", color=SOFT, label="elite")
-    cross = Line2D([], [], marker="x", linestyle="none", color=SOFT, label="fell or missed the speed")
-    return [*marks, ring, cross]
+    ring = legend_mark("elite", markersize=9, markerfacecolor="none")
+    return [*marks, ring, legend_mark("fell or missed the speed", "x")]
 
 
 def _stairs(panel: Axes, points: Sequence[PAIR], color: str) -> None:

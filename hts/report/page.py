@@ -76,7 +76,7 @@ def contents(run: RunData) -> dict[str, Any]:
         "changed": changes(summary),
         "later": _later(run),
         "iterations": [_iteration(run, iteration) for iteration in run.iterations],
-        "glossary": GLOSSARY,
+        "glossary": GLOSSARY.items(),
         "provenance": list(_flat(run.provenance)) or [("provenance.json", "not there")],
         "config": yaml.safe_dump(run.config, sort_keys=False, allow_unicode=True) if run.config else "",
         "version": hts.__version__,

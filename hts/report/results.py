@@ -91,8 +91,7 @@ def headline(run: RunData, name: str, result: Json) -> str:
     unit = result["unit"]
     better = [key for key in speeds if (bounds := speeds[key].get("improvement_ci95")) and bounds[0] > 0]
     worse = [key for key in speeds if (bounds := speeds[key].get("improvement_ci95")) and bounds[1] < 0]
-    chosen = (run.summary.get("final") or {}).get("policy")
-    policy = f"the final policy ({chosen})" if chosen else "the final policy"
+    policy = f"the final policy ({run.chosen})" if run.chosen else "the final policy"
     refused = result.get("refused") or {}
     if len(better) == len(speeds) and not refused:
         values = sorted(speed["improvement"] for speed in speeds.values())

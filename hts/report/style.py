@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 INK, SOFT, LINE = "#1f2933", "#5f6c7b", "#d5dbe1"
 ACCENT, REFERENCE, WARN = "#0f6f78", "#9aa5b1", "#b4540a"
@@ -70,7 +71,7 @@ def save(drawing: Figure, folder: Path, name: str) -> Path:
     return folder / f"{name}.svg"
 
 
-def embedded(drawing: Figure, folder: Path, file: str, title: str, caption: str, note: str = "") -> dict[str, str]:
+def embedded(drawing: Figure, folder: Path, file: str, title: str, caption: str, note: str) -> dict[str, str]:
     """`save`, and what the page needs to show it: title, caption, alt and the SVG as base64. note: a line in the
     figure's corner, which goes with it wherever it is shown."""
     if note:
@@ -85,6 +86,13 @@ def ramp(position: int, count: int) -> str:
     if count <= 1:
         return RAMP[2]
     return RAMP[round(position * (len(RAMP) - 1) / (count - 1))]
+
+
+def legend_mark(label: str, marker: str = "o", color: str = SOFT, **look: Any) -> Line2D:
+    """What stands in a legend for marks without a line."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], marker=marker, linestyle="none", color=color, label=label, **look)
 
 
 def zero_line(axes: Axes, vertical: bool = False) -> None:

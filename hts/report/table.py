@@ -4,45 +4,39 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
 
 from hts.policy_ids import PRETRAINED
 from hts.report import wording
 from hts.report.outcome import closing
 from hts.report.task_words import VELOCITY, TaskWords
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.table import Table
 
-
-def print_table(summary: Mapping[str, Any], console: Console | None = None) -> None:
+def print_table(summary: Mapping[str, Any], console: Console) -> None:
     """Print the final head-to-head of a summary.json, one table per objective."""
     final = summary.get("final") or {}
     for line in (*([summary["note"]] if summary.get("note") else ()), *closing(summary)):
-        from rich.console import Console
-
-        (console or Console()).print(line, soft_wrap=True, markup=False, highlight=False)
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
     if final.get("policy") == PRETRAINED:
         return
     title = f"{final.get('policy') or 'final'} policy against pretrained"
     _print(final.get("objectives") or {}, title, console, TaskWords.of(summary))
     if len(summary.get("objectives") or ()) > 1 and (summary.get("front") or {}).get("real"):
-        from rich.console import Console
-
-        (console or Console()).print(_front_table(summary))
+        console.print(_front_table(summary))
 
 
 def print_evaluation(evaluation: Mapping[str, Any], console: Console | None = None) -> None:
     """Print an evaluation.json, one table per objective."""
     title = f"{evaluation.get('policy', 'policy')} against pretrained, world {evaluation.get('world', 'unknown')}"
-    _print(evaluation.get("objectives") or {}, title, console, TaskWords.of(evaluation))
+    _print(evaluation.get("objectives") or {}, title, console or Console(), TaskWords.of(evaluation))
 
 
-def _print(objectives: Mapping[str, Any], title: str, console: Console | None, task: TaskWords) -> None:
-    from rich.console import Console
-
-    console = console or Console()
+def _print(objectives: Mapping[str, Any], title: str, console: Console, task: TaskWords) -> None:
     for name, result in objectives.items():
         for part, words in wording.ways(result):
             about = {key: result[key] for key in ("unit", "metric_units") if key in result}
@@ -56,9 +50,6 @@ def _print(objectives: Mapping[str, Any], title: str, console: Console | None, t
 
 def _front_table(summary: Mapping[str, Any]) -> Table:
     """The policies that no other beats in all objectives, best first in the first one."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     objectives, front = list(summary["objectives"]), summary["front"]
     title = "front: beaten by no other policy tried, during the iterations"
     table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=0)
@@ -100,8 +91,6 @@ def fitting(result: Mapping[str, Any], title: str, console: Console, task: TaskW
 
 def _fits(table: Table, console: Console) -> bool:
     """Whether every line of the table has its place: rich would cut off what it makes narrower."""
-    from rich.measure import Measurement
-
     wide = console.options.update(width=10_000)  # what it needs, not what there is
     return Measurement.get(console, wide, table).maximum <= console.width
 
@@ -116,9 +105,6 @@ def _table(
 ) -> Table:
     """One row a speed, or set-point. numbers: improvement, speed, falls and segments too; broken: headings of several
     words are as narrow as their longest one."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
     unit, speeds = result["unit"], result["speeds"]
     table = Table(title=title or None, title_justify="left", title_style="bold", box=SIMPLE_HEAD, padding=0)
     table.add_column(task.column, justify="right", no_wrap=True)

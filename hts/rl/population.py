@@ -21,6 +21,7 @@ LONG = 8192  # samples per candidate from which on a GPU takes candidates in tur
 MANY = 512  # samples per candidate from which on a CPU takes candidates side by side
 ALIGNED = 8  # numbers; rows of matrices on a GPU begin at a multiple
 PARTIAL = 64  # sums side by side
+CLIP = 10.0  # of normalised observations
 
 Parameters = list[dict[str, torch.Tensor]] | Mapping[str, torch.Tensor]
 """By name: a list of dicts on a CPU, one of them for each candidate, one dict of stacked ones [P, ...] on a GPU."""
@@ -230,7 +231,7 @@ class Population(OfItsSizes):
         """Observations or critic observations [P, B, size] as the networks see them; on a GPU with zeros up to a size
         that its matrix units can read. members: whose rows x holds."""
         mean, std = getattr(self, f"{name}_mean")[members], getattr(self, f"{name}_std")[members]
-        x = (x - mean).div_(std).clamp(-10.0, 10.0)  # not in place: `vmap` knows no clamp_
+        x = (x - mean).div_(std).clamp(-CLIP, CLIP)  # not in place: `vmap` knows no clamp_
         return x if x.device.type == "cpu" else F.pad(x, (0, -x.shape[-1] % ALIGNED))
 
     def mean(

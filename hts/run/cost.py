@@ -10,6 +10,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+from rich.table import Table
+
 from hts.config import RunConfig
 from hts.errors import ConfigError
 from hts.evaluation.held import ask_to_hold, hold_of
@@ -17,6 +20,7 @@ from hts.evaluation.simulation import trial_steps
 from hts.guarded import guarded
 from hts.parts import objectives_of, robot_of, world_of
 from hts.plugins import Registry
+from hts.report import wording
 from hts.run.budget import candidate_counts, plan
 from hts.run.robot_time import asked_of
 from hts.training.sweep import weights_of
@@ -81,7 +85,7 @@ def estimate(config: RunConfig, registry: Registry, steps_per_second: float | No
     batch_gb = samples * BYTES_PER_SAMPLE / 1e9
     measured = "measured here" if steps_per_second else f"as on {assumed}; not measured here"
     return {
-        "combinations": ", ".join(_shown(one) for one in weights) if len(objectives) > 1 else None,
+        "combinations": ", ".join(map(wording.weights, weights)) if len(objectives) > 1 else None,
         "selector": config.selection.selector.name,
         "candidates": sum(counts),
         "tested on the robot": sum(budget.elites),
@@ -132,11 +136,6 @@ def machine_memory_gb() -> float | None:
     return found / 1e9 if found > 0 else None
 
 
-def _shown(weights: Mapping[str, float]) -> str:
-    """λ of one candidate, those that are not 0: "1 calm + 5 quiet"."""
-    return " + ".join(f"{value:g} {name}" for name, value in weights.items() if value)
-
-
 def _number(value: Any) -> str:
     return value if isinstance(value, str) else f"{value:,.1f}" if isinstance(value, float) else f"{value:,}"
 
@@ -148,9 +147,6 @@ def _from_to(least: str, most: str) -> str:
 
 def print_estimate(cost: dict[str, Any]) -> None:
     """One line each; last what a person has to do, where the world says it."""
-    from rich.console import Console
-    from rich.table import Table
-
     table = Table.grid(padding=(0, 2))
     table.add_column(justify="right", width=30)
     table.add_column()
@@ -178,8 +174,6 @@ def print_estimate(cost: dict[str, Any]) -> None:
 
 def print_ready(config: RunConfig) -> None:
     """What a dry run has built, and what it has not."""
-    from rich.console import Console
-
     built = "Built once, all of it works: plugins and their settings, pretrained policy, rewards, world"
     rest = (
         ", env, a few batches of training."

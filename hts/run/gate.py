@@ -162,10 +162,10 @@ class Trials:
         finally:
             env.close()
         self.steps += round(settings.seconds * spec.control_rate_hz) * self.instances * len(names)
-        rows = {}
-        for name, policy, worst in zip(names, policies, found, strict=True):
-            rows[name] = {"policy_hash": policy.card.policy_hash, **self._row(name, worst, lost)}
-        return rows
+        return {
+            name: {"policy_hash": policy.card.policy_hash, **self._row(name, worst, lost)}
+            for name, policy, worst in zip(names, policies, found, strict=True)
+        }
 
     def _row(self, name: str, worst: Mapping[str, Worst], lost: LostPackets) -> dict[str, Any]:
         job, settings = self.job, self.job.config.gate

@@ -10,23 +10,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from hts.explain import explain
-from hts.report.shapes import Summary
+from hts.report.shapes import Number, Part, Summary
 from hts.run.stages import damaged, read_json
 
 if TYPE_CHECKING:
     from hts.config import RunConfig
-
-Number = float | None
-"""JSON has neither NaN nor infinity: null stands for them."""
-
-
-class Part(BaseModel):
-    """Part of a file. A text is no number, and unknown keys are let alone."""
-
-    model_config = ConfigDict(strict=True, extra="ignore")
 
 
 class Collect(Part):

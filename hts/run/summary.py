@@ -110,7 +110,6 @@ def pooled_ranks(checks: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     whose costs are of another speed than most (there more policies kept it, or it was walked longer) is left out: that
     walking faster costs more is no news.
     """
-
     usual = _usual_speed(checks)
 
     def rank(found: Sequence[Mapping[str, Any]]) -> float | None:
@@ -137,15 +136,14 @@ def _model(report: dict[str, Any], checked: dict[str, Any] | None) -> dict[str, 
     to as well: how many, of how many; elites_r2 and rank_correlation: over all recordings of the trials,
     of elites, which the model had not seen, and of the reference beside them, which it had."""
     checked = checked or {}
-    proxy, tried = report["held_out"].get("proxy"), checked.get("proxy")
     return {
         "dataset": report["dataset"],
         "held_out_r2": report["held_out_r2"],
         **({"same_session": shared} if (shared := report.get("same_session", {})).get("held_out") else {}),
         "rank_correlation": checked.get("rank_correlation", report["rank_correlation"]),
         "elites_r2": checked.get("r2"),
-        "proxy_held_out_r2": proxy,
-        "proxy_elites": tried,
+        "proxy_held_out_r2": report["held_out"].get("proxy"),
+        "proxy_elites": checked.get("proxy"),
     }
 
 

@@ -84,9 +84,10 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
     tested = tests.for_best(selector)
     incumbent = [] if best == job.first else [tested_before(job, best)]  # nobody before the first success
     races = {"rounds": tests.races} if tests.races else {}
+    results = {elite: result_row(found) for elite, found in tests.results.items()}
     return {
         "elites": elites,
-        "results": {elite: result_row(found) for elite, found in tests.results.items()},
+        "results": results,
         "recordings": ids,
         "best": selector.best(tested),
         # The protocol is the same in every iteration, so an earlier winner that measured better stays.
@@ -94,7 +95,7 @@ def test(job: Job, iteration: int, best: str, report: Report) -> dict[str, Any]:
         "samples": robot_samples_of(tests.recorded),
         **races,
         "model_checks": _check_models(job, iteration, ids),
-        **_trust(job, iteration, {elite: result_row(found) for elite, found in tests.results.items()}),
+        **_trust(job, iteration, results),
     }
 
 

@@ -60,6 +60,11 @@ def _numbers(value: str) -> list[float]:
         return []
 
 
+def moving_mass(model: mujoco.MjModel) -> float:
+    """Of all that is not fixed to the world, kg."""
+    return float(model.body_mass[model.body_weldid != 0].sum())
+
+
 def check_added_mass(model: mujoco.MjModel, robot: Robot, added: tuple[float, float], where: str) -> None:
     """Raise ConfigError for a trunk that would weigh nothing or less, or a load that no robot carries. added: kg;
     where: the key that says so."""
@@ -69,7 +74,7 @@ def check_added_mass(model: mujoco.MjModel, robot: Robot, added: tuple[float, fl
             f"{where}: {added[0]:g} kg would leave nothing of the trunk of '{robot.spec.name}', which weighs "
             f"{mass:.3g} kg. Raise the lower end."
         )
-    whole = float(model.body_mass[model.body_weldid != 0].sum())  # of what can move
+    whole = moving_mass(model)
     if added[1] > MOST_LOAD * whole:
         raise ConfigError(
             f"{where}: expected at most {MOST_LOAD * whole:.3g} kg, {MOST_LOAD:g} times what '{robot.spec.name}' "
