@@ -53,16 +53,6 @@ THREE_AXES = {"angular_velocity", "projected_gravity", COMMAND}  # the others ha
 
 
 @dataclass(frozen=True)
-class Trained:
-    """What a policy was trained in. delay_s: least and most delay of its targets, s; commands: ranges of vx, vy m/s
-    and yaw rate rad/s; source: who says so."""
-
-    delay_s: tuple[float, float]
-    commands: Mapping[str, Sequence[float]]
-    source: str
-
-
-@dataclass(frozen=True)
 class Frozen:
     """For how long a sensor may repeat its last number while the robot moves, s; 0: for ever. seen_seconds: one that
     policies observe, three times what a walking quadruped showed; real_seconds: one that only the robot has, while a
@@ -108,8 +98,7 @@ def first_runs(run: Mapping[str, Any]) -> dict[str, float]:
 def manifest(facts: Facts, policies: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The whole manifest. policies: `policy_entry` of each graph; rows: the plan's."""
     spec = facts.spec
-    compared = any(row["role"] != "collection" for row in rows)
-    held = facts.hold if compared else None
+    compared, held = any(row["role"] != "collection" for row in rows), facts.hold
     real = {channel.name for channel in facts.real}
     return {
         "schema": SCHEMA,
@@ -191,7 +180,9 @@ def _part(part: Mapping[str, Any], task: Task, joints: int) -> dict[str, Any]:
 
 
 def _trained(card: SimpleNamespace, facts: Facts) -> dict[str, Any] | None:
-    """From the card where it says so, else from the run; None where nobody knows."""
+    """What a policy was trained in, from its card where that says so, else from the run; None where nobody knows.
+    delay_s: least and most delay of its targets, s; commands: ranges of vx, vy m/s and yaw rate rad/s; source: who says
+    so."""
     made = vars(card).get("made")
     fine_tuned = _inside(made, "anchor") is not None  # what nobody did was not trained as this run trains
     for source, env in (
@@ -208,7 +199,7 @@ def _trained(card: SimpleNamespace, facts: Facts) -> dict[str, Any] | None:
             steps = within_a_step((steps[0], steps[1]), facts.spec.substeps)
         delay = (float(steps[0]) * facts.spec.physics_dt, float(steps[1]) * facts.spec.physics_dt)
         commands = {key: list(ranges[key]) for key in ("vx", "vy", "yaw_rate") if key in ranges}
-        return asdict(Trained(delay, commands, source))
+        return {"delay_s": delay, "commands": commands, "source": source}
     return None
 
 
