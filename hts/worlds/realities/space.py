@@ -34,7 +34,7 @@ class Space:
     def __init__(self, parameters: Sequence[Drawn]) -> None:
         self.parameters = tuple(parameters)
         self.switches = tuple(switches(list(parameters)))
-        groups = {_group(one): one.counts[1] for one in parameters if one.counts}
+        groups = {one.group: one.counts[1] for one in parameters if one.counts}
         found = [Coordinate(f"switch {name}", True) for name in self.switches]
         found += [Coordinate(f"count {name}", True) for name in groups]
         for one in parameters:
@@ -82,14 +82,10 @@ class Space:
             return True
         if one.counts:
             low, high = one.counts
-            count = low + int(point[self.at[f"count {_group(one)}"]] * (high - low + 1))
+            count = low + int(point[self.at[f"count {one.group}"]] * (high - low + 1))
             several = [number(one, float(point[self.at[f"{one.key} {index}"]])) for index in range(count)]
             return sorted(several) if one.ascending else several
         share = float(point[self.at[one.key]])
         if one.whole:
             return int(one.low) + int(share * (int(one.high) - int(one.low) + 1))
         return number(one, share)
-
-
-def _group(one: Drawn) -> str:
-    return one.key.rpartition(".")[0]
