@@ -17,7 +17,7 @@ from hts.errors import HtsError
 from hts.recordings.recording import Recording
 from hts.worlds.base import request_id, seed_sequence
 from hts.worlds.realities.check import COLD_SESSIONS, OF_THE_ROBOT, Stage, standing, walked
-from hts.worlds.realities.like import Figure, Likeness, facts_of, idle_measured, shown_by
+from hts.worlds.realities.like import Figure, Likeness, facts_of, shown_by, shown_idle
 from hts.worlds.realities.sampler import Found
 from hts.worlds.twin.instruments import Unread
 from hts.worlds.twin.parameters import TwinSettings
@@ -30,7 +30,7 @@ WARM = Stage(warm=6.0, measured=6.0, sessions=2)
 
 def free_distance(figures: Sequence[Figure], instruments: Mapping[str, Instrument]) -> float:
     """Of the idle levels alone, without any simulation; 0 where nothing is known of them."""
-    return _distance(figures, {one.name: one.value for one in idle_measured(figures, instruments)})
+    return _distance(figures, shown_idle(figures, instruments))
 
 
 def misfit(
@@ -44,13 +44,16 @@ def misfit(
     """Distance of a twin and what it shows; infinite for one that falls or breaks down, and where it was given up as
     beyond the bound. policy: exported (ONNX); instruments: all of the machine's."""
     used = _used(settings, instruments, like.figures)
-    shown = {one.name: one.value for one in idle_measured(like.figures, used)}
+    shown = shown_idle(like.figures, used)
     distance = _distance(like.figures, shown)
     try:
-        for stage in (_standing, _walking):
+        for stage in (
+            lambda: _standing(robot, settings, used, like.figures),
+            lambda: _walking(robot, settings, used, policy, like, bound),
+        ):
             if distance > bound:
                 return Found(math.inf, shown, _worst(like.figures, shown))
-            values, fallen = stage(robot, settings, used, policy, like, bound)
+            values, fallen = stage()
             shown |= values
             if fallen:
                 return Found(math.inf, shown, fallen)
@@ -100,14 +103,9 @@ def _used(
 
 
 def _standing(
-    robot: Robot,
-    settings: TwinSettings,
-    instruments: Mapping[str, Instrument],
-    policy: str,
-    like: Likeness,
-    bound: float,
+    robot: Robot, settings: TwinSettings, instruments: Mapping[str, Instrument], figures: Sequence[Figure]
 ) -> tuple[dict[str, float], str]:
-    facts = [one for one in facts_of(like.figures, instruments) if one.speed == 0]
+    facts = [one for one in facts_of(figures, instruments) if one.speed == 0]
     return (standing(robot, settings, instruments, facts), "") if facts else ({}, "")
 
 
@@ -158,7 +156,7 @@ def _from_cold(
             made += [row[-1] for row in rows]
             if any(one.fell for one in made):
                 return shown, "fell as the recordings' schedule was walked"
-            shown = {one.name: one.value for one in shown_by(made, figures, used)}
+            shown = shown_by(made, figures, used)
             if _distance(figures, shown) > bound:
                 break
     finally:
