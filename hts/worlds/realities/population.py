@@ -10,11 +10,10 @@ processes nor interruptions change a digit.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -108,13 +107,12 @@ class Machines:
         return {name: self.registry.make_instrument(name, one, self.robot) for name, one in given.items()}
 
 
-_machines: dict[str, Machines] = {}  # of this process, by its work: made once
+_machines = cache(Machines)  # of this process, by its work: made once
 
 
 def one_task(asked: Asked, task: Task, within: float) -> Particle:
     """Do it, on twins; in a process that goes on to do others."""
-    key = hashlib.sha256(repr(asked).encode()).hexdigest()
-    return done(asked, task, within, _machines.get(key) or _machines.setdefault(key, Machines(asked)))
+    return done(asked, task, within, _machines(asked))
 
 
 def done(asked: Asked, task: Task, within: float, on: Machines) -> Particle:
@@ -263,7 +261,7 @@ def _said(line: Mapping[str, Any], done: int, size: int, spent: int, budget: int
 
 def _summed_up(last: Generation) -> str:
     distances = [one.found.distance for one in last.population]
-    simulated, accepted = (sum(getattr(one, name) for one in last.population) for name in ("simulated", "accepted"))
+    simulated, accepted = sampler.effort(last.population)
     moves = "the prior" if last.bound is None else f"within {last.bound:.2f}, {accepted} of {simulated} moves accepted"
     return (
         f"generation {last.number}: {moves}; distance {min(distances):.2f} at best, {np.median(distances):.2f} median"

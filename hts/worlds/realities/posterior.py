@@ -28,14 +28,9 @@ class Narrowed:
     z: float
 
 
-def lines_of(folder: Path) -> Lines:
-    """All draws of a folder. Raises RunError."""
-    return draws_of(folder).lines
-
-
 def accepted(folder: Path) -> str:
     """How many of the draws of a folder were kept, and what ended most of the others: one line."""
-    lines = lines_of(folder)
+    lines = draws_of(folder).lines
     kept, others = sum(bool(line["kept"]) for line in lines), reasons(lines)
     others.pop("kept", None)
     ended = ", ".join(f"{reason} ({number})" for reason, number in others.most_common(4))
@@ -52,9 +47,13 @@ def narrowed(parameters: Sequence[Drawn], lines: Lines) -> list[Narrowed]:
         values = np.array([line["values"][one.key] for line in lines if line["kept"] and one.key in line["values"]])
         if len(values) < 2:
             continue
-        share = np.log(values / one.low) / np.log(one.high / one.low) if one.logarithmic else _share(one, values)
+        if one.logarithmic:
+            share = np.log(values / one.low) / np.log(one.high / one.low)
+        else:
+            share = (values - one.low) / (one.high - one.low)
         z = (share.mean() - 0.5) * np.sqrt(12 * len(values))  # a uniform share has a variance of 1/12
-        found.append(Narrowed(one.key, one.quartiles(), _quartiles(values), float(z)))
+        low, middle, high = map(float, np.percentile(values, (25, 50, 75)))
+        found.append(Narrowed(one.key, one.quartiles(), (low, middle, high), float(z)))
     return sorted(found, key=lambda one: -abs(one.z))
 
 
@@ -93,15 +92,6 @@ def table_of(moved: Sequence[Narrowed], most: int) -> list[str]:
         before, after = (", ".join(f"{value:.3g}" for value in three) for three in (one.prior, one.posterior))
         rows.append(f"| `{one.key}` | {before} | {after} | {one.z:+.1f} |")
     return rows
-
-
-def _share(one: Drawn, values: np.ndarray) -> np.ndarray:
-    return np.asarray((values - one.low) / (one.high - one.low))
-
-
-def _quartiles(values: np.ndarray) -> tuple[float, float, float]:
-    low, middle, high = np.percentile(values, (25, 50, 75))
-    return float(low), float(middle), float(high)
 
 
 def _kind(why: str) -> str:
