@@ -25,6 +25,7 @@ from hts.envs.rewards import RewardInputs, resolve_weights, soft_range, stacked,
 from hts.rl.random import PopulationRandom
 from hts.rl.task_env import LaunchedSimulator, ReplacedState, SplitStepEnv
 from hts.rl.tracing import any_or_tracing
+from hts.sim.conventions import TRUNK_TOUCH, sensor_groups
 from hts.sim.engine import Engine
 
 # An episode ends below this share of the standing height or beyond this tilt (gravity's z in the
@@ -76,11 +77,10 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.default_pose = torch.tensor(spec.default_pose, device=device)
         self._pose_range = soft_range(spec.position_limit, spec.default_pose, config.soft_joint_range, device)
         self.action_scale = torch.tensor(spec.action_scale, device=device)
-        self._torques = self._sensor_block([f"torque_{name}" for name in spec.joint_names])
-        legs = [site.removesuffix("_foot") for site in spec.foot_sites]
-        self._touch = self._sensor_block([f"touch_{leg}" for leg in legs])
-        self._foot_velocity = self._sensor_block([f"foot_velocity_{leg}" for leg in legs])
-        self._trunk_touch = engine.sensor("trunk_touch")
+        torques, touch, foot_velocity = sensor_groups(spec).values()
+        self._torques, self._touch = self._sensor_block(torques), self._sensor_block(touch)
+        self._foot_velocity = self._sensor_block(foot_velocity)
+        self._trunk_touch = engine.sensor(TRUNK_TOUCH)
         self.observation_layout = observation_layout(joints)
         self._draw_constants()
         shape = self.shape2
