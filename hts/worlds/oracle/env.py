@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import torch
 from tensordict import TensorDict
@@ -89,8 +87,4 @@ class SessionCommands(Commands):
 
     def steer(self, yaw: torch.Tensor) -> None:
         gain, offset = (each.view(yaw.shape) for each in (self._engine.heading_gain, self._engine.heading_offset))
-        error = torch.remainder(self.heading + offset - yaw + math.pi, 2 * math.pi) - math.pi
-        low, high = self.config.yaw_rate
-        wanted = (self.config.heading_gain * gain * error).clamp(low, high)
-        yaw_rate: Any = torch.where(self.keeps_heading, wanted, self.value[..., 2])
-        self.value = torch.cat((self.value[..., :2], yaw_rate.unsqueeze(-1)), -1)
+        self._turn(self.heading + offset - yaw, self.config.heading_gain * gain)
