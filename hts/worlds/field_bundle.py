@@ -22,11 +22,17 @@ from hts.policies.gate_notes import refusal
 from hts.policies.proof import unproven
 from hts.recordings.partial import publish
 from hts.worlds.field_holding import instructions as holding
-from hts.worlds.field_manifest import WARMUP_SECONDS, Facts, first_runs, gate_of, manifest, policy_entry
+from hts.worlds.field_manifest import (
+    UNSTEADY_SECONDS,
+    WARMUP_SECONDS,
+    Facts,
+    first_runs,
+    gate_of,
+    manifest,
+    policy_entry,
+)
 from hts.worlds.field_places import CHECKSUMS, PAGE, into, renew, then_type
 from hts.worlds.field_runner import runner, who_does_the_rows
-
-UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
 
 
 @dataclass(frozen=True)
