@@ -99,7 +99,7 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
             finally:
                 loop.close()
                 if loop.step_seconds:
-                    events.say("figures", **figures(loop, link), limited_targets=session.limited_targets)
+                    events.say("figures", **figures(loop), limited_targets=session.limited_targets)
                 events.say("ended", rows=session.done)
     return DONE
 
