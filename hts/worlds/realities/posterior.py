@@ -62,11 +62,6 @@ def reasons(lines: Lines) -> Counter[str]:
     return Counter("kept" if line["kept"] else _kind(line["why"]) for line in lines)
 
 
-def switches_kept(lines: Lines, names: Sequence[str]) -> dict[str, int]:
-    """Structure -> in how many of the kept draws it is on."""
-    return {name: sum(line["kept"] and name in line["switches"] for line in lines) for name in names}
-
-
 def text(parameters: Sequence[Drawn], names: Sequence[str], lines: Lines, most: int = 12) -> str:
     """Tables in markdown."""
     kept, moved = sum(bool(line["kept"]) for line in lines), narrowed(parameters, lines)
@@ -74,7 +69,7 @@ def text(parameters: Sequence[Drawn], names: Sequence[str], lines: Lines, most: 
     rows += ["| ended by | draws |", "|---|---|"]
     rows += [f"| {reason} | {number} |" for reason, number in reasons(lines).most_common()]
     rows += table_of(moved, most)
-    on = switches_kept(lines, names)
+    on = {name: sum(line["kept"] and name in line["switches"] for line in lines) for name in names}
     rows += [
         "",
         "| structure | on, of the kept |",
