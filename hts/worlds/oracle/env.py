@@ -19,11 +19,6 @@ TRUE = "true_"
 """What the name of a channel that holds the truth begins with; the rest is the real channel's."""
 
 
-def true_channel(name: str) -> Channel:
-    """The env's channel of what `Instrument.truth` tells of a real channel."""
-    return Channel(TRUE + name, "1", (), "what only a simulator knows; unit of the instrument's own")
-
-
 class OracleEnv(VelocityEnv):
     """As `VelocityEnv`, on a `RealityEngine`; nothing is drawn but what differs between the reality's own sessions.
 
@@ -46,7 +41,8 @@ class OracleEnv(VelocityEnv):
     ) -> None:
         still = config.randomisation.model_copy(update={"enabled": False})
         config = config.model_copy(update={"randomisation": still, "observation_noise": 0.0})
-        told = {TRUE + name: true_channel(name) for name in engine.truth}
+        what = "what only a simulator knows; unit of the instrument's own"
+        told = {TRUE + name: Channel(TRUE + name, "1", (), what) for name in engine.truth}
         super().__init__(engine, spec, num_candidates, num_envs, config, {**channels, **told}, seeds)
         self.dt = 1 / spec.control_rate_hz
         self.commands = SessionCommands(self.commands, engine)
