@@ -108,10 +108,7 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self._disturbance_draws = slice(DRAWS, DRAWS + DISTURBANCE_DRAWS)
         self._start_draws = slice(start, start + 6 + joints + 1)
         self._noise_draws = slice(self._start_draws.stop, None)
-        sizes = {
-            "observation": observation_size(joints),
-            "critic_observation": critic_observation_size(joints, feet),
-        }
+        sizes = {"observation": observation_size(joints), "critic_observation": critic_observation_size(joints, feet)}
         self._observation = zeros(*shape, sizes["observation"], device=device)
         self._critic_observation = zeros(*shape, sizes["critic_observation"], device=device)
         make_specs(self, sizes, self.channel_specs or None, joints)
