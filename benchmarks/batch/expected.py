@@ -20,8 +20,8 @@ from hts.errors import RunError
 from hts.run.expected import prediction
 from hts.worlds.realities.batch import exported_policy
 from hts.worlds.realities.like import DISCREPANCY, of_store
-from hts.worlds.realities.population import Asked, draw_like, generations_of, weights_of
-from hts.worlds.realities.posterior_like import accepted, heading_of, lines_of
+from hts.worlds.realities.population import Asked, draw_like, weights_of
+from hts.worlds.realities.posterior_like import accepted, generations_in
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def reached(draws: Path) -> float:
     """Tolerances that the last whole generation is within; infinite where there is none beside the prior."""
     if not (draws / "draws.jsonl").is_file():
         return float("inf")
-    whole = generations_of(lines_of(draws), heading_of(draws)["size"])
+    whole = generations_in(draws)
     bound = whole[-1].bound if whole else None
     return float("inf") if bound is None else float(bound)
 

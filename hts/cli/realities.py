@@ -180,14 +180,15 @@ def posterior(
     """Print what was kept against what was drawn: acceptance, reasons, and the parameters that moved."""
     from hts import plugins
     from hts.worlds.realities import posterior_like
-    from hts.worlds.realities.posterior import lines_of, text
+    from hts.worlds.realities.folder import draws_of
+    from hts.worlds.realities.posterior import text
     from hts.worlds.realities.ranges import drawn_parameters, switches
 
     parameters = drawn_parameters(plugins.load())
     if posterior_like.is_population(folder):
         typer.echo(posterior_like.text(parameters, folder, most))
         return
-    typer.echo(text(parameters, switches(parameters), lines_of(folder), most))
+    typer.echo(text(parameters, switches(parameters), draws_of(folder).lines, most))
 
 
 @app.command()

@@ -163,9 +163,13 @@ class Commands:
 
     def steer(self, yaw: torch.Tensor) -> None:
         """yaw rate = clip(gain x heading error), Rudin et al. 2022, where an instance keeps a heading."""
-        error = torch.remainder(self.heading - yaw + math.pi, 2 * math.pi) - math.pi
+        self._turn(self.heading - yaw, self.config.heading_gain)
+
+    def _turn(self, error: torch.Tensor, gain: torch.Tensor | float) -> None:
+        """`steer` by an error of the heading, rad, [P, N], and a gain, rad/s per rad."""
+        error = torch.remainder(error + math.pi, 2 * math.pi) - math.pi
         low, high = self.config.yaw_rate
-        wanted = (self.config.heading_gain * error).clamp(low, high)
+        wanted = (gain * error).clamp(low, high)
         yaw_rate = torch.where(self.keeps_heading, wanted, self.value[..., 2])
         self.value = torch.cat((self.value[..., :2], yaw_rate.unsqueeze(-1)), -1)  # the last one may be remembered
 

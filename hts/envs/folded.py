@@ -9,15 +9,14 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import Compose, EnvBase, Transform, TransformedEnv, VecGymEnvTransform
 
 from hts.channels import Channel
+from hts.envs.specs import FLAGS, make_specs
 from hts.errors import ConfigError, PluginError, unknown_name
 from hts.rl.task_env import TaskEnv
 
 Key = str | tuple[str, ...]
-FLAGS = ("done", "terminated", "truncated")
 LONGEST_STEP = 1.0  # s
 ChannelValues = Callable[[TensorDictBase, torch.Tensor], Mapping[str, torch.Tensor]]
 
@@ -64,8 +63,12 @@ class FoldedEnv(TaskEnv):
         self.wanted = dict(channels)
         self.parts = {"observation": tuple(observation), "critic_observation": tuple(critic_observation or observation)}
         self._check_inner()
-        self.observation_layout = self._layout()
-        self._make_specs()
+        self.observation_layout = [  # for the card of a policy that is trained here
+            {"name": key if isinstance(key, str) else key[-1], "size": self._size(key)}
+            for key in self.parts["observation"]
+        ]
+        seen = {name: sum(self._size(key) for key in keys) for name, keys in self.parts.items()}
+        make_specs(self, seen, self.wanted, inner.action_spec.shape[-1])
 
     def _check_inner(self) -> None:
         """The inner env gives the observations that are asked of it, and the flags."""
@@ -90,29 +93,8 @@ class FoldedEnv(TaskEnv):
                     "one that ends by failing is terminated, either is done."
                 )
 
-    def _make_specs(self) -> None:
-        shape, device = self.batch_size, self.device
-
-        def unbounded(*size: int) -> Unbounded:
-            return Unbounded((*shape, *size), device=device)
-
-        seen = {name: unbounded(sum(self._size(key) for key in keys)) for name, keys in self.parts.items()}
-        channels = {name: unbounded(*channel.shape) for name, channel in self.wanted.items()}
-        self.observation_spec = Composite(
-            **seen, channels=Composite(channels, shape=shape, device=device), shape=shape, device=device
-        )
-        self.action_spec = unbounded(self.inner.action_spec.shape[-1])
-        self.reward_spec = unbounded(1)
-        flag = Binary(1, (*shape, 1), device=device, dtype=torch.bool)
-        self.done_spec = Composite({name: flag.clone() for name in FLAGS}, shape=shape, device=device)
-
     def _size(self, key: Key) -> int:
         return math.prod(self.inner.observation_spec[key].shape[1:])
-
-    def _layout(self) -> list[dict[str, Any]]:
-        """Names and sizes of the observation's parts, for the card of a policy that is trained here."""
-        names = [(key if isinstance(key, str) else key[-1], key) for key in self.parts["observation"]]
-        return [{"name": name, "size": self._size(key)} for name, key in names]
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         flat = None

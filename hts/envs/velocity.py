@@ -8,7 +8,6 @@ from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Binary, Composite, Unbounded
 
 from hts.channels import HELD_CHANNELS, Channel
 from hts.config import EnvConfig
@@ -22,9 +21,11 @@ from hts.envs.observation import NOISE, critic_observation_size, observation_lay
 from hts.envs.physics_steps import SUBSTEPS, in_physics_steps
 from hts.envs.pose import trunk_frame, yaw_of
 from hts.envs.rewards import RewardInputs, resolve_weights, soft_range, stacked, total
+from hts.envs.specs import make_specs
 from hts.rl.random import PopulationRandom
 from hts.rl.task_env import LaunchedSimulator, ReplacedState, SplitStepEnv
 from hts.rl.tracing import any_or_tracing
+from hts.sim.conventions import TRUNK_TOUCH, sensor_groups
 from hts.sim.engine import Engine
 
 # An episode ends below this share of the standing height or beyond this tilt (gravity's z in the
@@ -76,11 +77,10 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self.default_pose = torch.tensor(spec.default_pose, device=device)
         self._pose_range = soft_range(spec.position_limit, spec.default_pose, config.soft_joint_range, device)
         self.action_scale = torch.tensor(spec.action_scale, device=device)
-        self._torques = self._sensor_block([f"torque_{name}" for name in spec.joint_names])
-        legs = [site.removesuffix("_foot") for site in spec.foot_sites]
-        self._touch = self._sensor_block([f"touch_{leg}" for leg in legs])
-        self._foot_velocity = self._sensor_block([f"foot_velocity_{leg}" for leg in legs])
-        self._trunk_touch = engine.sensor("trunk_touch")
+        torques, touch, foot_velocity = sensor_groups(spec).values()
+        self._torques, self._touch = self._sensor_block(torques), self._sensor_block(touch)
+        self._foot_velocity = self._sensor_block(foot_velocity)
+        self._trunk_touch = engine.sensor(TRUNK_TOUCH)
         self.observation_layout = observation_layout(joints)
         self._draw_constants()
         shape = self.shape2
@@ -108,9 +108,10 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         self._disturbance_draws = slice(DRAWS, DRAWS + DISTURBANCE_DRAWS)
         self._start_draws = slice(start, start + 6 + joints + 1)
         self._noise_draws = slice(self._start_draws.stop, None)
-        self._observation = zeros(*shape, observation_size(joints), device=device)
-        self._critic_observation = zeros(*shape, critic_observation_size(joints, feet), device=device)
-        self._make_specs(joints, feet)
+        sizes = {"observation": observation_size(joints), "critic_observation": critic_observation_size(joints, feet)}
+        self._observation = zeros(*shape, sizes["observation"], device=device)
+        self._critic_observation = zeros(*shape, sizes["critic_observation"], device=device)
+        make_specs(self, sizes, self.channel_specs or None, joints)
 
     def __setattr__(self, name: str, value: object) -> None:
         # A step replaces some twenty tensors; EnvBase looks at length whether each is a submodule or a spec.
@@ -132,27 +133,6 @@ class VelocityEnv(SplitStepEnv, WalksAsTold):
         delay, offset = delays_and_offsets(self.config, self.robot_spec, count)
         self.delay = torch.from_numpy(delay).to(device).view(1, 1, count, 1)
         self.joint_offset = torch.from_numpy(offset).float().to(device)
-
-    def _make_specs(self, joints: int, feet: int) -> None:
-        shape, device = self.shape2, self.engine.device
-
-        def unbounded(*size: int) -> Unbounded:
-            return Unbounded((*shape, *size), device=device)
-
-        channels = {name: unbounded(*channel.shape) for name, channel in self.channel_specs.items()}
-        self.observation_spec = Composite(
-            observation=unbounded(observation_size(joints)),
-            critic_observation=unbounded(critic_observation_size(joints, feet)),
-            **({"channels": Composite(channels, shape=shape, device=device)} if channels else {}),
-            shape=shape,
-            device=device,
-        )
-        self.action_spec = unbounded(joints)
-        self.reward_spec = unbounded(1)
-        flag = Binary(1, (*shape, 1), device=device, dtype=torch.bool)
-        self.done_spec = Composite(
-            {name: flag.clone() for name in ("done", "terminated", "truncated")}, shape=shape, device=device
-        )
 
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Sequence
 
 import mujoco
 
@@ -207,17 +208,11 @@ def _first_joint(model: mujoco.MjModel) -> str:
 
 def _places(what: str, where: str, found: Sequence[str], wanted: Sequence[str], advice: str) -> str:
     """First that is out of place, and both orders."""
-    (place, here, expected) = next(_unequal(found, wanted))
+    pairs = enumerate(itertools.zip_longest(found, wanted, fillvalue=""))
+    place, here, expected = next((place, *pair) for place, pair in pairs if pair[0] != pair[1])
     stands = f"{what} '{here}' is number {place + 1} {where}" if here else f"number {place + 1} {where} is none"
     after = f"'{expected}' is expected there" if expected else "none is expected there"
     return f"{stands}, {after}: found {', '.join(found)}; expected {', '.join(wanted)}. {advice} ({WHERE})."
-
-
-def _unequal(found: Sequence[str], wanted: Sequence[str]) -> Iterator[tuple[int, str, str]]:
-    for place in range(max(len(found), len(wanted))):
-        pair = found[place] if place < len(found) else "", wanted[place] if place < len(wanted) else ""
-        if pair[0] != pair[1]:
-            yield place, *pair
 
 
 def _between(slices: dict[str, slice], names: Sequence[str]) -> str:

@@ -61,10 +61,6 @@ class MujocoEngine(Engine):
         if not np.isfinite(self._ctrl).all():
             bad = np.flatnonzero(~np.isfinite(self._ctrl).all(axis=(1, 2)))
             raise SimulationError(f"A non-finite actuator input reached the physics in worlds {bad[:8].tolist()}.")
-        self.step_raw()
-
-    def step_raw(self) -> None:
-        """Physics from the buffers as they are, and back into the tensors."""
         self._before[:] = self._state
         self._rollout(self._state, self._ctrl)
         self._state[:] = self._states[:, -1]

@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from hts.errors import ConfigError, HtsError, PluginError, unknown_name
-from hts.plugins import GROUP, KINDS, Broken, Entry, Plugin, Registry
+from hts.plugins import GROUP, KINDS, Entry, Plugin, Registry
 from hts.testing.checks import CHECKS, NEEDED
 from hts.testing.checks.ensure import NotTried
 from hts.testing.packages import kit_installed
@@ -70,7 +70,8 @@ def check_package(
         known = {p.package for p in registry.plugins} | {b.package for b in registry.broken}
         raise ConfigError(unknown_name("plugin package", package, known))
     with kit_installed():  # worlds look the kit's robot and objective up, also in processes of their own
-        return [*map(_not_loaded, broken), *_checked(registry, package, plugins, reserved)]
+        absent = (Finding(package, f"entry point '{b.entry_point}'", "It can be loaded.", b.reason) for b in broken)
+        return [*absent, *_checked(registry, package, plugins, reserved)]
 
 
 def package_of(text: str) -> str:
@@ -101,10 +102,6 @@ def _not_there(package: str, folder: str) -> str:
         f"nothing of it. Name its module under [project.entry-points.{GROUP}] in {Path(folder) / 'pyproject.toml'}, "
         f"then: pip install -e {folder}"
     )
-
-
-def _not_loaded(broken: Broken) -> Finding:
-    return Finding(broken.package, f"entry point '{broken.entry_point}'", "It can be loaded.", broken.reason)
 
 
 def _checked(

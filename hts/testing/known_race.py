@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from hts.config import EvaluationConfig
 from hts.contracts import TestedCandidate
@@ -45,12 +46,9 @@ class KnownRounds:
         seconds = round(block_seconds)
         order = round_order(len(racing), number)
         total = seconds * len(order)
-        series = np.empty(total)
         shocks = rng.standard_normal(total)
-        series[0] = shocks[0]
-        for second in range(1, total):
-            new = np.sqrt(1 - self.correlation**2) * shocks[second]
-            series[second] = self.correlation * series[second - 1] + new
+        shocks[1:] *= np.sqrt(1 - self.correlation**2)
+        series = lfilter([1.0], [1.0, -self.correlation], shocks)
         wandering = self.scatter * series + self.drift * np.arange(total) / total
         blocks = []
         for block, who in enumerate(order):

@@ -10,13 +10,14 @@ IDLE = 1.9
 """What the column `current` shows with electronics on and motors idle, A."""
 
 
-def walk_columns(seconds: float = 20.0, rate_hz: float = 100.0, seed: int = 0) -> dict[str, np.ndarray]:
-    """t ms, tau_left, tau_right N·m, dq_left, dq_right rad/s, current A; (rows,) each, rounded as loggers do.
+def walk_columns() -> dict[str, np.ndarray]:
+    """20 s at 100 Hz: t ms, tau_left, tau_right N·m, dq_left, dq_right rad/s, current A; (rows,) each, rounded as
+    loggers do.
 
     The current is 1.9 + Σ(|τ q̇| / 2 + τ²), shown about 0.1 s late: what a fit should find.
     """
-    random = np.random.default_rng(seed)
-    time = np.arange(round(seconds * rate_hz)) / rate_hz
+    random, rate_hz = np.random.default_rng(0), 100.0
+    time = np.arange(2000) / rate_hz
     phase = 2 * np.pi * 1.3 * time + random.normal(0, 0.05, len(time)).cumsum()
     swell = 1.0 + 0.5 * np.sin(0.9 * time)
     torque = np.stack([0.4 * swell * np.sin(phase + lag) for lag in (0.0, 2.0)], axis=1)

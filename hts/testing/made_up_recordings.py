@@ -111,13 +111,12 @@ def known_head_to_head(
     The cost is the policy's own, times 1 + an AR(1) series of standard deviation `scatter` and lag-one `correlation`
     (per second, running on through all blocks), plus a linear drift of `drift` in all from first to last second.
     """
-    rng = np.random.default_rng(seed)
+    from scipy.signal import lfilter
+
     total = block_seconds * len(order)
-    shocks = rng.standard_normal(total)
-    series = np.empty(total)
-    series[0] = shocks[0]
-    for second in range(1, total):
-        series[second] = correlation * series[second - 1] + np.sqrt(1 - correlation**2) * shocks[second]
+    shocks = np.random.default_rng(seed).standard_normal(total)
+    shocks[1:] *= np.sqrt(1 - correlation**2)
+    series = lfilter([1.0], [1.0, -correlation], shocks)
     drifting = drift * np.arange(total) / total
     recordings = []
     for block, letter in enumerate(order):

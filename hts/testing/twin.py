@@ -5,7 +5,7 @@ calibration anchors. Never for an objective, a reward or a measurement model: wh
 """
 
 from hts.worlds.base import Operator, request_id, seed_sequence, walking
-from hts.worlds.twin.instruments import instruments_of_reality, make_instruments
+from hts.worlds.twin.instruments import instruments_of_reality, make_instruments, maker
 from hts.worlds.twin.model import build
 from hts.worlds.twin.parameters import TwinSettings, parameters_hash, resolved, resolved_settings
 from hts.worlds.twin.programme import Block, Session, warm_up
@@ -20,6 +20,7 @@ __all__ = [
     "build",
     "instruments_of_reality",
     "make_instruments",
+    "maker",
     "parameters_hash",
     "request_id",
     "resolved",

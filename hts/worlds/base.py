@@ -35,8 +35,9 @@ def round_order(policies: int, number: int) -> list[int | None]:
 
 
 def shared_out(recordings: Sequence[Recording], order: Sequence[int | None], policies: int) -> list[list[Recording]]:
-    """One list a policy from the blocks of a round: its own and the reference's, in the order of time."""
-    blocks = list(zip(recordings, order, strict=True))
+    """One list a policy from the blocks of a round, at one speed or at several one after the other: its own and the
+    reference's, in the order of time."""
+    blocks = list(zip(recordings, itertools.cycle(order), strict=False))
     return [[recording for recording, who in blocks if who in (None, policy)] for policy in range(policies)]
 
 

@@ -182,9 +182,7 @@ class FieldWorld(World):
         for one in speeds:
             session = request_id(request, 0) if len(speeds) == 1 else request_id(request, 0, one)
             orders += self._orders(walkers, [w is None for w in order], one, block_seconds, session, len(orders))
-        recordings, width = self._recordings(request, orders), len(order)
-        shared = [shared_out(recordings[i : i + width], order, len(policies)) for i in range(0, len(recordings), width)]
-        return [[r for rows in shared for r in rows[policy]] for policy in range(len(policies))]
+        return shared_out(self._recordings(request, orders), order, len(policies))
 
     # ------------------------------------------------------------------------------------------ inside
 
@@ -236,9 +234,7 @@ class FieldWorld(World):
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             self._mapping()
-            hold = field_holding.instructions(self._hold) if self._hold is not None and held else ()
-            facts = self._facts(request, held)
-            write_bundle(bundle, orders, self._mapping_path(), self._command(), facts, self._robot.task(), hold)
+            write_bundle(bundle, orders, self._mapping_path(), self._command(), self._facts(request, held))
         except OSError as error:
             raise WorldError(f"{bundle}: the deploy bundle cannot be written ({error.strerror}).") from error
         files = {order.name: log_files(bundle / "logs", order.name) for order in orders}
@@ -365,18 +361,15 @@ class FieldWorld(World):
     def _facts(self, request: str, held: bool) -> Facts:
         """What a bundle says of the robot and the run."""
         robot, run = self._robot, self._run_folder()
-        hold = self._hold if held else None
-        frozen = Frozen(self.settings.frozen_seconds, self.settings.frozen_real_seconds)
-        sim, real = robot.channels(), self._real_channels()
         return Facts(
-            robot.spec,
-            request,
-            hold,
-            sim,
-            real,
-            run_configuration(run),
-            run,
-            frozen,
+            spec=robot.spec,
+            request=request,
+            hold=self._hold if held else None,
+            sim=robot.channels(),
+            real=self._real_channels(),
+            run=run_configuration(run),
+            folder=run,
+            frozen=Frozen(self.settings.frozen_seconds, self.settings.frozen_real_seconds),
             commands=robot.bundle_commands,
             own_env=not isinstance(robot, VelocityRobot),
             task=robot.task(),

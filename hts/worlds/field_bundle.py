@@ -14,18 +14,25 @@ import yaml
 
 from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
-from hts.contracts import VELOCITY, FollowVelocity, Requests, RobotSpec, Task
+from hts.contracts import FollowVelocity, Requests, RobotSpec, Task
 from hts.errors import WorldError
 from hts.policies.deploy import DeployedPolicy
 from hts.policies.exploring import mean_of, seed_of, with_noise
 from hts.policies.gate_notes import refusal
 from hts.policies.proof import unproven
 from hts.recordings.partial import publish
-from hts.worlds.field_manifest import WARMUP_SECONDS, Facts, first_runs, gate_of, manifest, policy_entry
+from hts.worlds.field_holding import instructions as holding
+from hts.worlds.field_manifest import (
+    UNSTEADY_SECONDS,
+    WARMUP_SECONDS,
+    Facts,
+    first_runs,
+    gate_of,
+    manifest,
+    policy_entry,
+)
 from hts.worlds.field_places import CHECKSUMS, PAGE, into, renew, then_type
 from hts.worlds.field_runner import runner, who_does_the_rows
-
-UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
 
 
 @dataclass(frozen=True)
@@ -72,17 +79,10 @@ def mapping_template(spec: RobotSpec, sim: Mapping[str, Channel], real: Sequence
 
 
 def instructions(
-    orders: Sequence[Order],
-    mapping: Path,
-    command: str,
-    task: Task,
-    hold: Sequence[str],
-    facts: Facts,
-    entries: Sequence[Mapping[str, Any]],
+    orders: Sequence[Order], mapping: Path, command: str, facts: Facts, entries: Sequence[Mapping[str, Any]]
 ) -> str:
-    """README of the bundle. hold: lines about holding the speed, where it is to be held; entries: of the manifest's
-    policies."""
-    first = first_runs(facts.run)
+    """README of the bundle. entries: of the manifest's policies."""
+    first, task = first_runs(facts.run), facts.task
     rows = [
         f"| {order.name} | {order.session} | {order.block} | {order.role} | policies/{order.policy.name} | "
         + ", then ".join(_asked(task, one) for one in order.schedule.commands)
@@ -91,7 +91,7 @@ def instructions(
         for order in orders
     ]
     walks = isinstance(task, FollowVelocity)
-    asked = ("speed" if hold else "commanded speed") if walks else "set-point"
+    asked = ("speed" if facts.hold else "commanded speed") if walks else "set-point"
     session = (
         "Logs of one session are recorded on one robot, one after the other, without a pause: swap the policy "
         f"while it {'walks' if walks else 'moves'}, or as fast as you can; the first {UNSTEADY_SECONDS:g} s after a "
@@ -124,7 +124,7 @@ def instructions(
         "",
         policies,
         "",
-        *(hold or ["## Then", ""]),
+        *(holding(facts.hold) if facts.hold else ["## Then", ""]),
         f"1. {idle}",
         into(mapping),
         "3. Save the log of row 00 as `logs/00.csv` (or several files in a folder `logs/00/`), and so on.",
@@ -202,15 +202,7 @@ def _asked(task: Task, command: Command) -> str:
     return f"{what} for {command.seconds:g} s"
 
 
-def write_bundle(
-    folder: Path,
-    orders: Sequence[Order],
-    mapping: Path,
-    command: str,
-    facts: Facts,
-    task: Task = VELOCITY,
-    hold: Sequence[str] = (),
-) -> None:
+def write_bundle(folder: Path, orders: Sequence[Order], mapping: Path, command: str, facts: Facts) -> None:
     """Write policies, cards, manifest, plan, instructions and checksums; complete or not at all, on the disk when this
     returns. A bundle that is there stays as it is, so half of one that a crash left would stay too; only the places
     that its page names are those of now, see `renew`."""
@@ -220,21 +212,13 @@ def write_bundle(
     temporary = folder.with_name(f".{folder.name}.partial")
     shutil.rmtree(temporary, ignore_errors=True)
     try:
-        _fill(temporary, orders, mapping, command, facts, task, hold)
+        _fill(temporary, orders, mapping, command, facts)
         publish(temporary, folder)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def _fill(
-    temporary: Path,
-    orders: Sequence[Order],
-    mapping: Path,
-    command: str,
-    facts: Facts,
-    task: Task,
-    hold: Sequence[str],
-) -> None:
+def _fill(temporary: Path, orders: Sequence[Order], mapping: Path, command: str, facts: Facts) -> None:
     """Everything of a bundle into an empty folder."""
     (temporary / "policies").mkdir(parents=True)
     (temporary / "logs").mkdir()
@@ -247,7 +231,7 @@ def _fill(
             "session": o.session,
             "block": o.block,
             "role": o.role,
-            **({"trim": o.trim} if hold else {}),
+            **({"trim": o.trim} if facts.hold else {}),
         }
         for o in shown
     ]
@@ -255,7 +239,7 @@ def _fill(
     rows = [{**row, "trim": row.get("trim", False), "policy_hash": hashes[row["policy"]]} for row in plan]
     _write_json(temporary / "plan.json", plan)
     _write_json(temporary / "manifest.json", manifest(facts, entries, rows))
-    (temporary / PAGE).write_text(instructions(shown, mapping, command, task, hold, facts, entries), encoding="utf-8")
+    (temporary / PAGE).write_text(instructions(shown, mapping, command, facts, entries), encoding="utf-8")
     (temporary / CHECKSUMS).write_text(checksums(temporary), encoding="utf-8")
 
 

@@ -15,7 +15,7 @@ from hts.errors import RecordingError
 from hts.evaluation.segments import BEFORE_FALL_SECONDS, FALLEN_GRAVITY_Z, moments_of_falls
 from hts.recordings.on_schedule import samples_at
 from hts.recordings.recording import Recording, noted_seconds
-from hts.worlds.field_bundle import UNSTEADY_SECONDS
+from hts.worlds.field_manifest import UNSTEADY_SECONDS
 
 CHANNEL = "command"
 SHARE, SPEED, TURN = 0.1, 0.05, 0.1

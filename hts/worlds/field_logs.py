@@ -28,20 +28,14 @@ OF_GAUGES = "frozen_real_seconds"
 GAINS = {"kp": "a list of one gain a joint, N*m/rad", "kd": "a list of one gain a joint, N*m*s/rad"}
 
 
-def mapping_of(logs: Path, name: str, own_path: Path) -> Path:
-    """Where the mapping of one log lies: beside it, else the run's own."""
-    beside = logs / FOLDER / f"{name}.yaml"
-    return beside if beside.is_file() else own_path
-
-
 def described(logs: Path, name: str, own: Mapping[str, Any], own_path: Path) -> tuple[dict[str, Any], Path]:
     """The mapping of one log and where it lies: that beside it, completed by the run's own; the run's own if there is
     none. One beside it without `channels` adds what it says to the run's own. Raises RecordingError for either that is
     not built as a mapping is, see `check_sections`, and where the run's own tells of a second file, or of a level of a
     channel that is not in the log: see `_check_one_file`."""
-    path = mapping_of(logs, name, own_path)
+    path = logs / FOLDER / f"{name}.yaml"
     check_sections(own_path, own)
-    if path == own_path:
+    if path == own_path or not path.is_file():
         return dict(own), own_path
     mapping = _with_levels(load_mapping(path), own)
     check_sections(path, mapping)

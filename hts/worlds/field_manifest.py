@@ -33,6 +33,7 @@ from hts.channels import Channel
 from hts.config_env import within_a_step
 from hts.config_gate import FirstRunConfig
 from hts.contracts import VELOCITY, FollowVelocity, HoldSpeed, RobotSpec, Task
+from hts.envs.observation import observation_layout
 from hts.errors import PolicyError, WorldError
 from hts.policies.export import CLIP
 from hts.policies.gate_notes import lost, note_of, place, refusal
@@ -40,6 +41,7 @@ from hts.recordings.unread import LONGEST_SECONDS
 
 SCHEMA, SCHEMA_VERSION = "hts deploy bundle", 1
 WARMUP_SECONDS = 600.0  # of walking before a head-to-head: windings take about that long
+UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
 COMMAND = "command"
 PARTS = {
     "angular_velocity": ("rad/s", "of the trunk, in the trunk frame"),
@@ -49,17 +51,6 @@ PARTS = {
     "joint_velocity": ("rad/s", "joint speed"),
     "last_action": ("action units", "the action of the step before, noise included; 0 at the start"),
 }
-THREE_AXES = {"angular_velocity", "projected_gravity", COMMAND}  # the others have a number for each joint
-
-
-@dataclass(frozen=True)
-class Trained:
-    """What a policy was trained in. delay_s: least and most delay of its targets, s; commands: ranges of vx, vy m/s
-    and yaw rate rad/s; source: who says so."""
-
-    delay_s: tuple[float, float]
-    commands: Mapping[str, Sequence[float]]
-    source: str
 
 
 @dataclass(frozen=True)
@@ -108,8 +99,7 @@ def first_runs(run: Mapping[str, Any]) -> dict[str, float]:
 def manifest(facts: Facts, policies: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The whole manifest. policies: `policy_entry` of each graph; rows: the plan's."""
     spec = facts.spec
-    compared = any(row["role"] != "collection" for row in rows)
-    held = facts.hold if compared else None
+    compared, held = any(row["role"] != "collection" for row in rows), facts.hold
     real = {channel.name for channel in facts.real}
     return {
         "schema": SCHEMA,
@@ -128,7 +118,7 @@ def manifest(facts: Facts, policies: Sequence[Mapping[str, Any]], rows: Sequence
             "rate_hz": spec.control_rate_hz,
             "target": "default_pose + action_scale * action",
             "action_clip": None,
-            "unsteady_seconds": 2.0,
+            "unsteady_seconds": UNSTEADY_SECONDS,
         },
         "policies": list(policies),
         "rows": list(rows),
@@ -181,9 +171,8 @@ def _part(part: Mapping[str, Any], task: Task, joints: int) -> dict[str, Any]:
     """A part with its unit and meaning; "" for both where only the robot's env knows, as of a part of another size than
     the one that is known by this name."""
     name, size = str(part["name"]), int(part["size"])
-    unit, meaning = PARTS.get(name, ("", ""))
-    if size != (3 if name in THREE_AXES else joints):
-        unit, meaning = "", ""
+    known = {"name": name, "size": size} in observation_layout(joints)
+    unit, meaning = PARTS[name] if known else ("", "")
     if name == COMMAND and not isinstance(task, FollowVelocity):
         commanded = task.set_points != () and size == 1
         unit, meaning = (task.unit, f"set-point as sent: the {task.quantity} that is wanted") if commanded else ("", "")
@@ -191,7 +180,9 @@ def _part(part: Mapping[str, Any], task: Task, joints: int) -> dict[str, Any]:
 
 
 def _trained(card: SimpleNamespace, facts: Facts) -> dict[str, Any] | None:
-    """From the card where it says so, else from the run; None where nobody knows."""
+    """What a policy was trained in, from its card where that says so, else from the run; None where nobody knows.
+    delay_s: least and most delay of its targets, s; commands: ranges of vx, vy m/s and yaw rate rad/s; source: who says
+    so."""
     made = vars(card).get("made")
     fine_tuned = _inside(made, "anchor") is not None  # what nobody did was not trained as this run trains
     for source, env in (
@@ -208,7 +199,7 @@ def _trained(card: SimpleNamespace, facts: Facts) -> dict[str, Any] | None:
             steps = within_a_step((steps[0], steps[1]), facts.spec.substeps)
         delay = (float(steps[0]) * facts.spec.physics_dt, float(steps[1]) * facts.spec.physics_dt)
         commands = {key: list(ranges[key]) for key in ("vx", "vy", "yaw_rate") if key in ranges}
-        return asdict(Trained(delay, commands, source))
+        return {"delay_s": delay, "commands": commands, "source": source}
     return None
 
 

@@ -58,12 +58,12 @@ def _check_exchanged(
     for file, recording, own in zip(files, recordings, hashes, strict=True):
         off = {one: distance(policy, recording) for one, (_, policy) in known.items()}
         found = {one: value for one, value in off.items() if value is not None}
-        mine, nearest = found.get(own, 0.0), min(found, key=lambda one: found[one], default=own)
-        if mine < LEAST or found[nearest] >= CLEARLY * mine or found[nearest] > AGREES * moves(recording):
+        mine, best = found.get(own, 0.0), min(found, key=lambda one: found[one], default=own)
+        if mine < LEAST or found[best] >= CLEARLY * mine or found[best] > AGREES * moves(recording):
             continue
         raise RecordingError(
-            f"{file}: its joint targets are those of {known[nearest][0]} (computed again from the log, off by "
-            f"{found[nearest]:.2g} rad), not of {known[own][0]} (off by {mine:.2g} rad), of which this row is. Put "
+            f"{file}: its joint targets are those of {known[best][0]} (computed again from the log, off by "
+            f"{found[best]:.2g} rad), not of {known[own][0]} (off by {mine:.2g} rad), of which this row is. Put "
             "there the log of this row, or record the row again."
         )
 
@@ -91,10 +91,9 @@ def _check_stranger(
         size = moves(recording) if "joint_target" in recording.channels else 0.0
         if size < MOVING or recording.fell or loaded[path].card.exploration_std:
             continue
-        off = differences(loaded[path], recording)
+        off = nearest(loaded[path], recording)
         if off is not None:
-            nearest = min(off, key=lambda one: float(np.median(one)))
-            rows[number] = _Row(float(np.median(nearest)), float(np.quantile(nearest, 0.25)), size)
+            rows[number] = _Row(float(np.median(off)), float(np.quantile(off, 0.25)), size)
     agree = [row for row in rows.values() if row.half <= AGREES * row.moves]
     if not agree or len(agree) < len(rows) - len(agree):
         return
@@ -116,6 +115,12 @@ def distance(policy: DeployedPolicy, recording: Recording) -> float | None:
     where the log does not show it. The state that a target came from is in its row, or up to three rows before."""
     off = differences(policy, recording)
     return None if off is None else min(float(np.sqrt(np.mean(one**2))) for one in off)
+
+
+def nearest(policy: DeployedPolicy, recording: Recording) -> np.ndarray | None:
+    """By how much the log's targets are off in each sample, (T,), rad, for the best of the delays LATE."""
+    off = differences(policy, recording)
+    return None if off is None else min(off, key=lambda one: float(np.median(one)))
 
 
 def differences(policy: DeployedPolicy, recording: Recording) -> list[np.ndarray] | None:

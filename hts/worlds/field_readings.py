@@ -23,7 +23,7 @@ import numpy as np
 from hts.errors import RecordingError
 from hts.policies.deploy import DeployedPolicy
 from hts.recordings.recording import Recording, Series
-from hts.worlds.field_ran import AGREES, MOVING, differences, moves
+from hts.worlds.field_ran import AGREES, MOVING, moves, nearest
 
 OFF = 0.02
 """Of how much the targets move: a log that is off by less is its policy's."""
@@ -73,7 +73,7 @@ def check_readings(files: Sequence[Path], recordings: Sequence[Recording], polic
             continue
         policy, part = DeployedPolicy(path), _middle(recording)
         size = moves(part)
-        own = _nearest(policy, part)
+        own = nearest(policy, part)
         if size < MOVING or own is None or float(np.median(own)) <= OFF * size:
             continue
         looked += 1
@@ -95,7 +95,7 @@ def _explaining(
     much the log is off as it is read; most: by how much it may be off, rad."""
     explained = []
     for reading in readings(recording):
-        off = _nearest(policy, reading.of(recording))
+        off = nearest(policy, reading.of(recording))
         if off is None:
             continue
         middle = float(np.median(off))
@@ -186,12 +186,6 @@ def _columns(order: Sequence[int], factors: Sequence[float] | None = None) -> Ch
         return taken if factors is None else taken * np.asarray(factors, values.dtype)
 
     return change
-
-
-def _nearest(policy: DeployedPolicy, recording: Recording) -> np.ndarray | None:
-    """By how much the log's targets are off in each sample, (T,), rad, for the best of the delays `LATE`."""
-    off = differences(policy, recording)
-    return None if off is None else min(off, key=lambda one: float(np.median(one)))
 
 
 def _middle(recording: Recording) -> Recording:

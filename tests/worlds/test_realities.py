@@ -18,7 +18,7 @@ from hts.contracts import Fact
 from hts.errors import ConfigError, RunError
 from hts.worlds.realities import batch as batch_module
 from hts.worlds.realities.batch import Asked, draw_many, parameters_of
-from hts.worlds.realities.check import Verdict, check
+from hts.worlds.realities.check import Tried, Verdict, check
 from hts.worlds.realities.draw import draw
 from hts.worlds.realities.posterior import narrowed, reasons
 from hts.worlds.realities.quick import standing_values
@@ -188,9 +188,8 @@ def test_a_robot_in_a_single_module_brings_no_realities_and_hides_none(install):
 
 
 def test_statics_drop_a_draw_that_stands_far_outside_without_simulating_it(registry, tmp_path):
-    verdict = check(
-        registry.make_robot("go1"), TwinSettings(), {"x": Meter(10.0, fact(1.0, 2.0))}, tmp_path / "no policy.onnx"
-    )
+    twin = Tried(registry.make_robot("go1"), TwinSettings(), {"x": Meter(10.0, fact(1.0, 2.0))})
+    verdict = check(twin, tmp_path / "no policy.onnx")
     assert not verdict.kept and verdict.why == "x at 0 10 K by statics"
 
 
@@ -203,7 +202,7 @@ def test_a_robot_of_which_there_is_no_twin_ends_the_draws_and_drops_none(registr
 
     robot = Spoilt(registry.make_robot("go1").settings)
     with pytest.raises(ConfigError, match="its model has no joint 'FL_calf_joint'"):
-        check(robot, TwinSettings(), {}, tmp_path / "never_asked.onnx")
+        check(Tried(robot, TwinSettings(), {}), tmp_path / "never_asked.onnx")
 
 
 def test_statics_stand_as_the_default_twin_does_in_simulation(registry):

@@ -15,6 +15,7 @@ from hts.errors import RecordingError
 from hts.recordings.recording import Recording, Series
 from hts.recordings.store import RecordingStore
 from hts.worlds.realities.batch import exported_policy
+from hts.worlds.realities.check import Tried
 from hts.worlds.realities.like import MOST, likeness, of_store, recorded, table, tolerance
 from hts.worlds.realities.misfit import free_distance, misfit
 from hts.worlds.twin.parameters import TwinSettings
@@ -173,7 +174,7 @@ def test_a_draw_whose_idle_level_is_another_is_dropped_before_anything_is_simula
     asked = likeness([walk.replace(channels=power, idle=idle)], "go1", WALKER, {"battery_gauge": gauge})
     # 0.3 / 1.3 of what was read off is 4.6 times the tolerance of 5 %
     assert free_distance(asked.figures, {"battery_gauge": gauge}) == pytest.approx(0.3 / 1.3 / 0.05, rel=1e-3)
-    found = misfit(robot, TwinSettings(), {"battery_gauge": gauge}, "no policy.onnx", asked, 1.0)
+    found = misfit(Tried(robot, TwinSettings(), {"battery_gauge": gauge}), "no policy.onnx", asked, 1.0)
     assert found.distance == np.inf and found.why.startswith("idle power")
 
 
@@ -199,7 +200,7 @@ def test_a_reality_agrees_with_its_own_logs_and_the_default_twin_does_not(tmp_pa
 
     def away(settings):
         made = {name: registry.make_instrument(name, given, robot) for name, given in settings.instruments.items()}
-        return misfit(robot, settings, made, str(policy), said)
+        return misfit(Tried(robot, settings, made), str(policy), said)
 
     own = away(TwinSettings.model_validate(dict(read("dev-04").parameters)))
     assert own.distance <= 1, own.why

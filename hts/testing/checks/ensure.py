@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
-from hts.errors import PluginError
+from hts.errors import HtsError, PluginError
 
 
 class NotTried(PluginError):
@@ -17,6 +18,20 @@ def ensure(kept: bool, found: str) -> None:
     """Raises PluginError saying what was found."""
     if not kept:
         raise PluginError(found)
+
+
+@contextmanager
+def refused(what: str, taken: str) -> Iterator[None]:
+    """Raises PluginError unless what is done inside ends in an error of hts.errors, one line. what: that is wrong;
+    taken: what is said where it is taken all the same."""
+    try:
+        yield
+    except HtsError as error:
+        ensure("\n" not in str(error), f"says of {what} in several lines: {error}")
+    except Exception as error:
+        raise PluginError(f"{what} ends in a traceback, {type(error).__name__}: {error}") from error
+    else:
+        ensure(False, taken)
 
 
 def same(first: object, second: object, tolerance: float = 0.0) -> bool:

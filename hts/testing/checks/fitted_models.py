@@ -42,17 +42,6 @@ def context_for(entry: Entry, registry: Registry) -> tuple[ModelContext, list[Re
     return ModelContext(SIGNALS, MEMBER, registry), [known_heat(seed, seconds=6.0) for seed in range(3)]
 
 
-class OtherTensors:
-    """The model, with other tensors: what `files.save` asks of one."""
-
-    def __init__(self, model: MeasurementModel, tensors: dict[str, torch.Tensor]) -> None:
-        self.name, self.settings, self.signals = model.name, model.settings, model.signals
-        self._tensors = tensors
-
-    def tensors(self) -> dict[str, Any]:
-        return self._tensors
-
-
 @dataclass(frozen=True)
 class _Key:
     """What was fitted, so that it is not fitted again for every check."""
@@ -77,23 +66,19 @@ def fitted_anew(entry: Entry, registry: Registry) -> tuple[MeasurementModel, dic
     return model, fit_as_in_a_run(model, recordings)
 
 
+def _nobody_is_told(epoch: int, epochs: int, error: float) -> None:
+    """A progress that shows nothing."""
+
+
 def fit_as_in_a_run(
     model: MeasurementModel,
     recordings: Sequence[Recording],
     epochs: int = 1,
-    max_seconds: float = 600.0,
-    progress: Progress | None = None,
+    progress: Progress = _nobody_is_told,
     warm_start: MeasurementModel | None = None,
 ) -> dict[str, Any]:
     """Its report; `fit` is given all that its contract names."""
-    from hts.measurement.fit_settings import FitSettings
-
-    told = progress if progress is not None else _nobody_is_told
-    return model.fit(recordings, **vars(FitSettings(0, epochs, max_seconds, told, warm_start)))
-
-
-def _nobody_is_told(epoch: int, epochs: int, error: float) -> None:
-    """A progress that shows nothing."""
+    return model.fit(recordings, seed=0, epochs=epochs, max_seconds=600.0, progress=progress, warm_start=warm_start)
 
 
 def of_known_scale(context: ModelContext, recordings: Sequence[Recording], spread: float) -> list[Recording]:

@@ -136,8 +136,7 @@ def _is_off(shown: np.ndarray, level: float) -> bool:
 
 def _smallest_steps(entry: Entry) -> Mapping[str, float]:
     """By how much readings of a moving robot differ at least, channel by channel: that of a rounded display."""
-    instrument, made_up, rows = _made(entry), np.random.default_rng(1), list[Readings]()
-    instrument.reset(AT_REST, np.random.default_rng(7))
+    instrument, made_up, rows = _begun(entry, AT_REST), np.random.default_rng(1), list[Readings]()
     for _ in range(LOOKS[0]):
         for _ in range(AT_ONCE):
             instrument.step(_weaker(physics(made_up, AT_REST), 3.0))
@@ -165,9 +164,7 @@ def reads_each_robot_alone(entry: Entry, registry: Registry) -> None:
 def sees_the_motion(entry: Entry, registry: Registry) -> None:
     """What it reads of robots that move is not what it reads, from the same random numbers, of robots at rest."""
     for count, strength in WALKS:
-        moving, still = (_made(entry) for _ in range(2))
-        for instrument in (moving, still):
-            instrument.reset(WORLDS, np.random.default_rng(7))
+        moving, still = _begun(entry), _begun(entry)
         made_up, standing = np.random.default_rng(1), rest()
         for _ in range(count):
             moving.step(_weaker(physics(made_up), strength))
@@ -181,9 +178,7 @@ def sees_the_motion(entry: Entry, registry: Registry) -> None:
 def advances_as_it_steps(entry: Entry, registry: Registry) -> None:
     """advance() of the K steps between two readings, (K, W, ...), and step() for each read the same, to the bit."""
     for irregular in (False, True):
-        stepped, advanced = (_made(entry) for _ in range(2))
-        for instrument in (stepped, advanced):
-            instrument.reset(WORLDS, np.random.default_rng(7))
+        stepped, advanced = _begun(entry), _begun(entry)
         made_up, block = np.random.default_rng(1), None
         for _ in range(STEPS // AT_ONCE):
             samples = [physics(made_up) for _ in range(AT_ONCE)]
@@ -220,7 +215,7 @@ def leaves_physics_alone(entry: Entry, registry: Registry) -> None:
 def reads_on_after_settling(entry: Entry, registry: Registry) -> None:
     """settle() runs, of one robot too; what is read after it and further steps is finite, and of each robot alone."""
     for worlds in (1, WORLDS):
-        first, other = (_settled(_made(entry), worlds, others) for others in (1.0, 0.3))
+        first, other = (_used(_made(entry), others, worlds, settles=True) for others in (1.0, 0.3))
         for name, values in first.items():
             wanted = values.shape[:1] == (worlds,)
             ensure(wanted, f"after settle() '{name}' has shape {values.shape} for {worlds} robot(s)")
@@ -253,27 +248,23 @@ def _made(entry: Entry) -> Instrument:
     return instrument
 
 
-def _used(instrument: Instrument, others: float = 1.0, worlds: int = WORLDS) -> Readings:
-    """What it reads after a reset and STEPS steps; others: factor on what all robots but the first do."""
+def _begun(entry: Entry, worlds: int = WORLDS) -> Instrument:
+    instrument = _made(entry)
     instrument.reset(worlds, np.random.default_rng(7))
-    _walked(instrument, np.random.default_rng(1), worlds, others)
-    return _read(instrument)
+    return instrument
 
 
-def _settled(instrument: Instrument, worlds: int, others: float) -> Readings:
-    """What it reads after steps, settle() and as many steps again."""
+def _used(instrument: Instrument, others: float = 1.0, worlds: int = WORLDS, settles: bool = False) -> Readings:
+    """What it reads after a reset and STEPS steps, or after settle() and as many steps again; others: factor on what
+    all robots but the first do."""
     instrument.reset(worlds, np.random.default_rng(7))
-    made_up = np.random.default_rng(1)
-    _walked(instrument, made_up, worlds, others)
-    instrument.settle()
-    _walked(instrument, made_up, worlds, others)
+    made_up, factor = np.random.default_rng(1), np.array([1.0] + [others] * (worlds - 1))[:, None]
+    for walk in range(1 + settles):
+        if walk:
+            instrument.settle()
+        for _ in range(STEPS):
+            instrument.step(_weaker(physics(made_up, worlds), factor))
     return _read(instrument)
-
-
-def _walked(instrument: Instrument, made_up: np.random.Generator, worlds: int, others: float) -> None:
-    factor = np.array([1.0] + [others] * (worlds - 1))[:, None]
-    for _ in range(STEPS):
-        instrument.step(_weaker(physics(made_up, worlds), factor))
 
 
 def _weaker(sample: PhysicsSample, factor: np.ndarray | float) -> PhysicsSample:

@@ -106,10 +106,8 @@ def sim_channels(registry: Registry) -> dict[str, Channel]:
     """All sim channels that somebody's robot gives, the kit's own included."""
     found: dict[str, Channel] = {}
     for name in registry.robots:
-        try:
+        with suppress(Exception):  # another robot's fault is found when that robot is checked
             found |= registry.make_robot(name).channels()
-        except Exception:  # noqa: BLE001 - another robot's fault is found when that robot is checked
-            found |= {}
     return {**found, **Tiny().channels()}
 
 
@@ -118,8 +116,8 @@ def walk(objective: Objective, registry: Registry, seed: int = 0, factor: float 
 
     factor: on what the target shows above its idle level of 0.5.
     """
-    channels = {**sim_channels(registry), **Tiny().channels()}
-    return made_up_recording(channels, real_channels(objective, registry), {objective.target.name: factor}, seed=seed)
+    sim, real = sim_channels(registry), real_channels(objective, registry)
+    return made_up_recording(sim, real, {objective.target.name: factor}, seed=seed)
 
 
 def segments(objective: Objective, registry: Registry, factor: float = 1.0) -> Segments:

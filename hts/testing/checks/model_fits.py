@@ -200,13 +200,10 @@ def counts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None
         )
 
 
-def counts_in_deviations(entry: Entry, registry: Registry) -> None:
-    """Raises PluginError for predictions, along what it was fitted to, that are not about 0 ± 1: as its recordings are,
-    and of a target that follows the inputs and varies much in its unit.
-
-    The second fit makes EPOCHS passes, and has no time limit of its own: a slow machine would judge a model that was
-    trained less, or not at all.
-    """
+def predicts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None:
+    """Its predictions along the recordings that it was fitted to are in standard deviations: about 0 ± 1."""
+    # As its recordings are, and of a target that follows the inputs and varies much in its unit. The second fit makes
+    # EPOCHS passes, and has no time limit of its own: a slow machine would judge a model that was trained less.
     model = fitted_model(entry, registry)
     context, recordings = context_for(entry, registry)
     _about_one(model, context, _along(model, context, recordings))

@@ -7,9 +7,8 @@ import tempfile
 from pathlib import Path
 
 from hts.contracts import LogReader
-from hts.errors import HtsError, PluginError
 from hts.plugins import Entry, Registry
-from hts.testing.checks.ensure import ensure
+from hts.testing.checks.ensure import ensure, refused
 from hts.testing.examples.robot.robot import Tiny
 
 
@@ -23,14 +22,8 @@ def refuses_bad_logs(entry: Entry, registry: Registry) -> None:
         for file in (Path(folder) / "missing.log", garbage):
             mapping: dict = {"channels": {}, "recording": {}}
             before = copy.deepcopy(mapping)
-            try:
+            with refused(file.name, f"makes a recording of {file.name}"):
                 reader.read([file], mapping, Tiny())
-            except HtsError as error:
-                ensure("\n" not in str(error), f"says of {file.name} in several lines: {error}")
-            except Exception as error:
-                raise PluginError(f"{file.name} ends in a traceback, {type(error).__name__}: {error}") from error
-            else:
-                ensure(False, f"makes a recording of {file.name}")
             ensure(mapping == before, "changes the mapping that it is given in place")
 
 

@@ -11,6 +11,7 @@ import torch
 from hts.contracts import Instrument, Robot
 from hts.cores import available
 from hts.errors import SimulationError
+from hts.sim.conventions import TRUNK_TOUCH, sensor_groups
 from hts.sim.engine import Engine
 from hts.worlds.oracle.sessions import Sessions
 from hts.worlds.twin.parameters import TwinSettings
@@ -52,13 +53,11 @@ class RealityEngine(Engine):
         self._joints = machine.joint_qpos
         address = [machine.model.sensor(f"twin_velocity_{i}").adr[0] for i in range(len(spec.foot_sites))]
         self._feet = np.concatenate([np.arange(start, start + 3) for start in address])
-        joints, feet = spec.num_joints, len(spec.foot_sites)
-        names = [(f"torque_{name}", 1) for name in spec.joint_names]
-        legs = [site.removesuffix("_foot") for site in spec.foot_sites]
-        names += [(f"touch_{leg}", 1) for leg in legs] + [(f"foot_velocity_{leg}", 3) for leg in legs]
-        names += [("trunk_touch", 1)]  # the twin's trunk has no sensor: a robot that lies has fallen by its height
-        ends = np.cumsum([size for _, size in names]).tolist()
-        self._slices = {name: slice(end - size, end) for (name, size), end in zip(names, ends, strict=True)}
+        joints, feet, groups = spec.num_joints, len(spec.foot_sites), sensor_groups(spec)
+        names = {name: 3 if kind == "foot_velocity" else 1 for kind, group in groups.items() for name in group}
+        names[TRUNK_TOUCH] = 1  # the twin's trunk has no sensor: a robot that lies has fallen by its height
+        ends = np.cumsum([*names.values()]).tolist()
+        self._slices = {name: slice(end - size, end) for (name, size), end in zip(names.items(), ends, strict=True)}
         worlds = self.num_worlds
         self.qpos, self.qvel = torch.zeros(worlds, 7 + joints), torch.zeros(worlds, 6 + joints)
         self.sensordata = torch.zeros(worlds, joints + 4 * feet + 1)

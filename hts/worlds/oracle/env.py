@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import torch
 from tensordict import TensorDict
@@ -19,11 +17,6 @@ from hts.worlds.oracle.engine import RealityEngine
 
 TRUE = "true_"
 """What the name of a channel that holds the truth begins with; the rest is the real channel's."""
-
-
-def true_channel(name: str) -> Channel:
-    """The env's channel of what `Instrument.truth` tells of a real channel."""
-    return Channel(TRUE + name, "1", (), "what only a simulator knows; unit of the instrument's own")
 
 
 class OracleEnv(VelocityEnv):
@@ -48,7 +41,8 @@ class OracleEnv(VelocityEnv):
     ) -> None:
         still = config.randomisation.model_copy(update={"enabled": False})
         config = config.model_copy(update={"randomisation": still, "observation_noise": 0.0})
-        told = {TRUE + name: true_channel(name) for name in engine.truth}
+        what = "what only a simulator knows; unit of the instrument's own"
+        told = {TRUE + name: Channel(TRUE + name, "1", (), what) for name in engine.truth}
         super().__init__(engine, spec, num_candidates, num_envs, config, {**channels, **told}, seeds)
         self.dt = 1 / spec.control_rate_hz
         self.commands = SessionCommands(self.commands, engine)
@@ -89,8 +83,4 @@ class SessionCommands(Commands):
 
     def steer(self, yaw: torch.Tensor) -> None:
         gain, offset = (each.view(yaw.shape) for each in (self._engine.heading_gain, self._engine.heading_offset))
-        error = torch.remainder(self.heading + offset - yaw + math.pi, 2 * math.pi) - math.pi
-        low, high = self.config.yaw_rate
-        wanted = (self.config.heading_gain * gain * error).clamp(low, high)
-        yaw_rate: Any = torch.where(self.keeps_heading, wanted, self.value[..., 2])
-        self.value = torch.cat((self.value[..., :2], yaw_rate.unsqueeze(-1)), -1)
+        self._turn(self.heading + offset - yaw, self.config.heading_gain * gain)

@@ -40,7 +40,7 @@ class Sessions:
         self.seconds = 0.0
         self._settled = 0  # how often heat was
         self.look(0.0)
-        self.truth = {name: np.array(values) for name, values in self._asked().items()}
+        self._ask()
 
     @property
     def over(self) -> bool:
@@ -62,7 +62,7 @@ class Sessions:
             self._settled += 1
             self._settle()
         self.look(batch.period)
-        self.truth = {name: np.array(values) for name, values in self._asked().items()}
+        self._ask()
 
     def stand(self, mask: np.ndarray) -> None:
         """Set the robots of the mask (W,) down again in the default pose."""
@@ -77,11 +77,9 @@ class Sessions:
         """Let go of the engine's memory."""
         self.batch.close()
 
-    def _asked(self) -> dict[str, np.ndarray]:
-        found: dict[str, np.ndarray] = {}
-        for instrument in self.batch.instruments.values():
-            found |= instrument.truth()
-        return found
+    def _ask(self) -> None:
+        told = (instrument.truth() for instrument in self.batch.instruments.values())
+        self.truth = {name: np.array(values) for one in told for name, values in one.items()}
 
     def _settle(self) -> None:
         """Steady heat. Where there is none for a policy that explores, it warms up as it goes: a session is shorter

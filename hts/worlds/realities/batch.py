@@ -20,12 +20,11 @@ from pydantic import ValidationError
 
 from hts import plugins
 from hts.atomic import atomic_write
-from hts.contracts import Instrument, Robot
 from hts.cores import available
 from hts.errors import ConfigError
 from hts.explain import dotted, explain
 from hts.plugin_settings import in_full
-from hts.worlds.realities.check import Verdict, check
+from hts.worlds.realities.check import Tried, Verdict, check
 from hts.worlds.realities.draw import Draw, draw
 from hts.worlds.realities.folder import LINES, begun, only_one
 from hts.worlds.realities.ranges import drawn_parameters, ranges_sha256
@@ -58,13 +57,13 @@ def parameters_of(drawn: Draw, registry: plugins.Registry) -> dict[str, dict[str
     return content
 
 
-def machine_of(reality: Reality) -> tuple[Robot, TwinSettings, dict[str, Instrument]]:
-    """The robot, the twin and its instruments. Raises ConfigError for parameters that they do not take."""
+def machine_of(reality: Reality) -> Tried:
+    """The twin. Raises ConfigError for parameters that it or its instruments do not take."""
     registry = plugins.load()
     robot = registry.make_robot(reality.robot)
     settings = _settings_of(reality)
     instruments = {name: registry.make_instrument(name, given, robot) for name, given in settings.instruments.items()}
-    return robot, settings, instruments
+    return Tried(robot, settings, instruments)
 
 
 def read_whole(reference: str) -> Reality:
@@ -107,8 +106,7 @@ def _settings_of(reality: Reality) -> TwinSettings:
 
 def examine(reality: Reality, policy: Path) -> Verdict:
     """Hold a reality against the facts."""
-    robot, settings, instruments = machine_of(reality)
-    return check(robot, settings, instruments, policy)
+    return check(machine_of(reality), policy)
 
 
 def one_draw(asked: Asked, index: int) -> tuple[dict[str, Any], str]:
@@ -149,7 +147,8 @@ def draw_many(asked: Asked, folder: Path, processes: int = 0, tell: Told | None 
         lines = begun(folder, heading)
         files = [folder / f"{asked.name}-{number:02d}.json" for number in range(asked.count)]
         kept = sum(line["kept"] for line in lines)
-        _check_files(files[:kept])
+        for there in files[:kept]:
+            read(str(there))  # raises for one that is not there or broken
         if kept >= asked.count:
             return files
         for line, content in _in_order(asked, len(lines), processes):
@@ -178,11 +177,6 @@ def _in_order(asked: Asked, first: int, processes: int) -> Iterator[tuple[dict[s
                 waiting.append(pool.submit(one_draw, asked, index))
                 index += 1
             yield waiting.pop(0).result()
-
-
-def _check_files(files: list[Path]) -> None:
-    for path in files:
-        read(str(path))  # raises for one that is not there or broken
 
 
 def exported_policy(robot: str, folder: Path, source: Path | None = None) -> Path:

@@ -29,6 +29,15 @@ Margin = tuple[float, float]  # factors on a fact's lower and upper bound
 
 
 @dataclass(frozen=True)
+class Tried:
+    """A twin that is tried: its robot, its settings, resolved, and its instruments, all that simulate a part of it."""
+
+    robot: Robot
+    settings: TwinSettings
+    instruments: Mapping[str, Instrument]
+
+
+@dataclass(frozen=True)
 class Stage:
     """Sessions in simulation: s of warm-up and s measured, so many at each speed, and how far outside is outside."""
 
@@ -59,30 +68,25 @@ class Verdict:
         return not self.why
 
 
-def check(
-    robot: Robot,
-    settings: TwinSettings,
-    instruments: Mapping[str, Instrument],
-    policy: Path,
-) -> Verdict:
-    """The verdict on a twin. policy: exported (ONNX); instruments: all that simulate a part of the machine."""
-    facts = [fact for instrument in instruments.values() for fact in instrument.facts()]
+def check(twin: Tried, policy: Path) -> Verdict:
+    """The verdict on a twin. policy: exported (ONNX)."""
+    facts = [fact for instrument in twin.instruments.values() for fact in instrument.facts()]
     speeds = sorted({*EvaluationConfig().speeds, *(fact.speed for fact in facts if fact.speed > 0)})
     measured: tuple[Measured, ...] = ()
     try:
         if any(fact.speed == 0 for fact in facts):
-            machine = build(robot, settings.dynamics)
-            values = standing_values(machine, instruments, facts, settings.dynamics.physics_dt)
+            dynamics = twin.settings.dynamics
+            values = standing_values(build(twin.robot, dynamics), twin.instruments, facts, dynamics.physics_dt)
             if why := _outside(_measured(facts, values), STATICS):
                 return Verdict((), f"{why} by statics")
-            values = standing(robot, settings, instruments, facts)
+            values = standing(twin, facts)
             measured = _measured(facts, values)
             if why := _outside(measured, STANDING.margin):
                 return Verdict(measured, why)
         for stage in (GLANCE, WALKING):
-            values, fallen = walked(robot, settings, instruments, facts, str(policy), speeds, stage)
-            if fallen:
-                return Verdict(measured, f"fell at {', '.join(f'{speed:g}' for speed in fallen)} m/s")
+            values, why = walked(twin, facts, str(policy), speeds, stage)
+            if why:
+                return Verdict(measured, why)
             seen = _measured(facts, values)
             if why := _outside(seen, stage.margin):
                 return Verdict((*measured, *seen), why)
@@ -107,41 +111,29 @@ def _outside(measured: Sequence[Measured], margin: Margin) -> str:
     return " and ".join(f"{one.name} {one.value:.3g} {one.unit}" for one in outside)
 
 
-def standing(
-    robot: Robot, settings: TwinSettings, instruments: Mapping[str, Instrument], facts: Sequence[Fact]
-) -> dict[str, float]:
+def standing(twin: Tried, facts: Sequence[Fact]) -> dict[str, float]:
     """Fact about standing -> value."""
-    rows = _recorded(robot, settings, instruments, None, [0.0], STANDING)
+    rows = _recorded(twin, None, [0.0], STANDING)
     return {fact.name: _value(fact, rows[0.0]) for fact in facts if fact.speed == 0}
 
 
 def walked(
-    robot: Robot,
-    settings: TwinSettings,
-    instruments: Mapping[str, Instrument],
-    facts: Sequence[Fact],
-    policy: str,
-    speeds: Sequence[float],
-    stage: Stage,
-) -> tuple[dict[str, float], list[float]]:
-    """Fact about walking -> value; and the speeds at which a robot fell, warm-up included."""
-    rows = _recorded(robot, settings, instruments, policy, speeds, stage)
-    fallen = [speed for speed in speeds if any(one.fell for row in rows[speed] for one in row)]
-    return {fact.name: _value(fact, rows[fact.speed]) for fact in facts if fact.speed > 0}, fallen
+    twin: Tried, facts: Sequence[Fact], policy: str, speeds: Sequence[float], stage: Stage
+) -> tuple[dict[str, float], str]:
+    """Fact about walking -> value; and at which speeds a robot fell, warm-up included, in words, "" for none."""
+    rows = _recorded(twin, policy, speeds, stage)
+    fallen = ", ".join(f"{speed:g}" for speed in speeds if any(one.fell for row in rows[speed] for one in row))
+    values = {fact.name: _value(fact, rows[fact.speed]) for fact in facts if fact.speed > 0}
+    return values, f"fell at {fallen} m/s" if fallen else ""
 
 
 def _recorded(
-    robot: Robot,
-    settings: TwinSettings,
-    instruments: Mapping[str, Instrument],
-    policy: str | None,
-    speeds: Sequence[float],
-    stage: Stage,
+    twin: Tried, policy: str | None, speeds: Sequence[float], stage: Stage
 ) -> dict[float, list[list[Recording]]]:
     """Speed -> the recordings of each session: of its warm-up's blocks, and last the one that is measured."""
     cases = [speed for speed in speeds for _ in range(stage.sessions)]
     seeds = seed_sequence(0, request_id("check", stage.warm, stage.measured, stage.sessions))
-    batch = Batch(robot, settings, instruments, len(cases), seeds)
+    batch = Batch(twin.robot, twin.settings, twin.instruments, len(cases), seeds)
     programme = [
         Session(
             id=f"{speed:g}",

@@ -56,16 +56,14 @@ def _value(one: Drawn, seed: str, index: int) -> Any:
         return int(rng.integers(int(one.low), int(one.high), endpoint=True))
     if one.counts is None:
         return number(one, rng.random())
-    group = one.key.rpartition(".")[0]
-    count = int(rng_of(seed, index, f"count {group}").integers(*one.counts, endpoint=True))
+    count = int(rng_of(seed, index, f"count {one.group}").integers(*one.counts, endpoint=True))
     several = [number(one, share) for share in rng.random(count)]
     return sorted(several) if one.ascending else several
 
 
 def number(one: Drawn, share: float) -> float:
-    """The value below which this share of the range lies."""
-    value = one.low * (one.high / one.low) ** share if one.logarithmic else one.low + (one.high - one.low) * share
-    return min(max(float(f"{value:.{DIGITS}g}"), one.low), one.high)
+    """The value below which this share of the range lies, rounded."""
+    return min(max(float(f"{one.at(share):.{DIGITS}g}"), one.low), one.high)
 
 
 def rng_of(seed: str, *what: object) -> np.random.Generator:

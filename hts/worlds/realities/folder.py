@@ -53,7 +53,8 @@ def begun(folder: Path, heading: Mapping[str, Any]) -> list[dict[str, Any]]:
     if not path.exists():
         atomic_write(path, json.dumps(heading) + "\n")
         return []
-    found, lines = _headed(path)
+    draws = _headed(path)
+    found = draws.heading
     other = [key for key in {**heading, **found} if found.get(key) != heading.get(key)]
     if "like" in other:
         had = "other figures of a robot, or another --discrepancy" if "like" in found else "the public facts"
@@ -63,12 +64,12 @@ def begun(folder: Path, heading: Mapping[str, Any]) -> list[dict[str, Any]]:
             f"{path}: was begun with another {other[0]} ({found.get(other[0])}, now {heading.get(other[0])}). "
             "Choose another folder with --out."
         )
-    _check_lines(path, Draws(found, lines))
+    _check_lines(path, draws)
     data = path.read_bytes()
     whole = data[: data.rfind(b"\n") + 1]
     if whole != data:
         atomic_write(path, whole)
-    return lines
+    return draws.lines
 
 
 def draws_of(folder: Path) -> Draws:
@@ -76,7 +77,7 @@ def draws_of(folder: Path) -> Draws:
     path = folder / LINES
     if not path.is_file():
         raise RunError(f"{path}: there is no such file. `hts realities draw` writes it.")
-    draws = Draws(*_headed(path))
+    draws = _headed(path)
     _check_lines(path, draws)
     return draws
 
@@ -112,11 +113,11 @@ def _check_free(folder: Path) -> None:
         raise RunError(f"{folder}: is not empty and holds no {LINES}. Choose an empty folder with --out.")
 
 
-def _headed(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def _headed(path: Path) -> Draws:
     rows = rows_of(path)
     if not rows:
         raise damaged(path, 1, "expected what was asked for, found nothing")
-    return rows[0], rows[1:]
+    return Draws(rows[0], rows[1:])
 
 
 def _check_lines(path: Path, draws: Draws) -> None:

@@ -32,7 +32,6 @@ from hts.errors import RecordingError
 from hts.quantiles import student_quantile
 from hts.recordings.on_schedule import samples_at
 from hts.recordings.recording import Recording
-from hts.worlds.twin.reality import Measured
 
 if TYPE_CHECKING:
     from hts.plugins import Registry
@@ -244,33 +243,32 @@ def facts_of(figures: Sequence[Figure], instruments: Mapping[str, Instrument]) -
 
 def shown_by(
     recordings: Sequence[Recording], figures: Sequence[Figure], instruments: Mapping[str, Instrument]
-) -> list[Measured]:
-    """What recordings of a draw, made as the lab's were, show of the figures of walking."""
+) -> dict[str, float]:
+    """What recordings of a draw, made as the lab's were, show of the figures of walking: name -> value."""
     known = {(name, one.name): one for name, one in _readings({**instruments, "": None})}
-    stretches, found = list(_stretches(recordings)), []
+    stretches, found = list(_stretches(recordings)), {}
     for one in figures:
         reading = known.get((one.instrument, one.reading))
         if reading is None or reading.idle or one.asked == 0:
             continue
         values = _values(one.instrument, reading, [stretch for stretch in stretches if stretch.asked == one.asked])
         if values:
-            value = float(np.mean(values))
-            found.append(Measured(name=one.name, value=value, low=one.low, high=one.high, unit=one.unit))
+            found[one.name] = float(np.mean(values))
     return found
 
 
-def idle_measured(figures: Sequence[Figure], instruments: Mapping[str, Instrument]) -> list[Measured]:
-    """What a draw shows of the figures that its idle levels alone say: before anything is simulated."""
-    found, levels = [], dict[str, float]()
+def shown_idle(figures: Sequence[Figure], instruments: Mapping[str, Instrument]) -> dict[str, float]:
+    """What a draw shows of the figures that its idle levels alone say, name -> value: before anything is simulated."""
+    levels: dict[str, float] = {}
     for instrument in instruments.values():
         instrument.reset(1, np.random.default_rng(0))
         levels |= instrument.idle()
     known = {(name, one.name): one for name, one in _readings(instruments)}
-    for one in figures:
-        if one.idle and (one.instrument, one.reading) in known:
-            value = known[one.instrument, one.reading].reading({}, levels)
-            found.append(Measured(name=one.name, value=value, low=one.low, high=one.high, unit=one.unit))
-    return found
+    return {
+        one.name: float(known[one.instrument, one.reading].reading({}, levels))
+        for one in figures
+        if one.idle and (one.instrument, one.reading) in known
+    }
 
 
 def recorded(

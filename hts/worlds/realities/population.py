@@ -10,11 +10,10 @@ processes nor interruptions change a digit.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +24,8 @@ from hts.atomic import atomic_write
 from hts.contracts import Instrument
 from hts.cores import available
 from hts.errors import RunError
-from hts.worlds.realities import sampler
-from hts.worlds.realities.batch import parameters_of
+from hts.worlds.realities import batch, sampler
+from hts.worlds.realities.check import Tried
 from hts.worlds.realities.draw import rng_of
 from hts.worlds.realities.folder import LINES, begun, damaged, only_one, rows_of
 from hts.worlds.realities.like import Likeness
@@ -43,17 +42,12 @@ FORMAT = 2  # of draws.jsonl, where 1 is that of draws held against public facts
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What to draw: at most `count` realities called NAME-00 and so on, from a population of `size` draws.
+class Asked(batch.Asked):
+    """What to draw: at most `count` realities like these recordings, from a population of `size` draws.
 
-    policy: exported; steps: Metropolis steps of each draw in each generation.
+    steps: Metropolis steps of each draw in each generation.
     """
 
-    count: int
-    seed: str
-    robot: str
-    name: str
-    policy: str
     like: Likeness
     size: int = 32
     steps: int = 3
@@ -101,20 +95,19 @@ class Machines:
     def simulate(self, point: np.ndarray, bound: float) -> Found:
         """By everything."""
         settings = TwinSettings.model_validate(self.space.draw(point).nested())
-        instruments = self._made(settings.instruments)
-        return misfit(self.robot, settings, instruments, self.asked.policy, self.asked.like, bound)
+        twin = Tried(self.robot, settings, self._made(settings.instruments))
+        return misfit(twin, self.asked.policy, self.asked.like, bound)
 
     def _made(self, given: Mapping[str, Mapping[str, Any]]) -> dict[str, Instrument]:
         return {name: self.registry.make_instrument(name, one, self.robot) for name, one in given.items()}
 
 
-_machines: dict[str, Machines] = {}  # of this process, by its work: made once
+_machines = cache(Machines)  # of this process, by its work: made once
 
 
 def one_task(asked: Asked, task: Task, within: float) -> Particle:
     """Do it, on twins; in a process that goes on to do others."""
-    key = hashlib.sha256(repr(asked).encode()).hexdigest()
-    return done(asked, task, within, _machines.get(key) or _machines.setdefault(key, Machines(asked)))
+    return done(asked, task, within, _machines(asked))
 
 
 def done(asked: Asked, task: Task, within: float, on: Machines) -> Particle:
@@ -227,7 +220,7 @@ def _written(asked: Asked, folder: Path, last: Generation) -> list[Path]:
             seed=asked.seed,
             index=place,
             switches=drawn.switches,
-            parameters=parameters_of(drawn, registry),
+            parameters=batch.parameters_of(drawn, registry),
             facts=measured_of(asked.like.figures, one.found),
         )
         files.append(folder / f"{name}.json")
@@ -263,7 +256,7 @@ def _said(line: Mapping[str, Any], done: int, size: int, spent: int, budget: int
 
 def _summed_up(last: Generation) -> str:
     distances = [one.found.distance for one in last.population]
-    simulated, accepted = (sum(getattr(one, name) for one in last.population) for name in ("simulated", "accepted"))
+    simulated, accepted = sampler.effort(last.population)
     moves = "the prior" if last.bound is None else f"within {last.bound:.2f}, {accepted} of {simulated} moves accepted"
     return (
         f"generation {last.number}: {moves}; distance {min(distances):.2f} at best, {np.median(distances):.2f} median"

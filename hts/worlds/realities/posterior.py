@@ -28,14 +28,9 @@ class Narrowed:
     z: float
 
 
-def lines_of(folder: Path) -> Lines:
-    """All draws of a folder. Raises RunError."""
-    return draws_of(folder).lines
-
-
 def accepted(folder: Path) -> str:
     """How many of the draws of a folder were kept, and what ended most of the others: one line."""
-    lines = lines_of(folder)
+    lines = draws_of(folder).lines
     kept, others = sum(bool(line["kept"]) for line in lines), reasons(lines)
     others.pop("kept", None)
     ended = ", ".join(f"{reason} ({number})" for reason, number in others.most_common(4))
@@ -52,20 +47,19 @@ def narrowed(parameters: Sequence[Drawn], lines: Lines) -> list[Narrowed]:
         values = np.array([line["values"][one.key] for line in lines if line["kept"] and one.key in line["values"]])
         if len(values) < 2:
             continue
-        share = np.log(values / one.low) / np.log(one.high / one.low) if one.logarithmic else _share(one, values)
+        if one.logarithmic:
+            share = np.log(values / one.low) / np.log(one.high / one.low)
+        else:
+            share = (values - one.low) / (one.high - one.low)
         z = (share.mean() - 0.5) * np.sqrt(12 * len(values))  # a uniform share has a variance of 1/12
-        found.append(Narrowed(one.key, one.quartiles(), _quartiles(values), float(z)))
+        low, middle, high = map(float, np.percentile(values, (25, 50, 75)))
+        found.append(Narrowed(one.key, one.quartiles(), (low, middle, high), float(z)))
     return sorted(found, key=lambda one: -abs(one.z))
 
 
 def reasons(lines: Lines) -> Counter[str]:
     """Why draws were dropped, without the numbers; "kept" for the others."""
     return Counter("kept" if line["kept"] else _kind(line["why"]) for line in lines)
-
-
-def switches_kept(lines: Lines, names: Sequence[str]) -> dict[str, int]:
-    """Structure -> in how many of the kept draws it is on."""
-    return {name: sum(line["kept"] and name in line["switches"] for line in lines) for name in names}
 
 
 def text(parameters: Sequence[Drawn], names: Sequence[str], lines: Lines, most: int = 12) -> str:
@@ -75,7 +69,7 @@ def text(parameters: Sequence[Drawn], names: Sequence[str], lines: Lines, most: 
     rows += ["| ended by | draws |", "|---|---|"]
     rows += [f"| {reason} | {number} |" for reason, number in reasons(lines).most_common()]
     rows += table_of(moved, most)
-    on = switches_kept(lines, names)
+    on = {name: sum(line["kept"] and name in line["switches"] for line in lines) for name in names}
     rows += [
         "",
         "| structure | on, of the kept |",
@@ -93,15 +87,6 @@ def table_of(moved: Sequence[Narrowed], most: int) -> list[str]:
         before, after = (", ".join(f"{value:.3g}" for value in three) for three in (one.prior, one.posterior))
         rows.append(f"| `{one.key}` | {before} | {after} | {one.z:+.1f} |")
     return rows
-
-
-def _share(one: Drawn, values: np.ndarray) -> np.ndarray:
-    return np.asarray((values - one.low) / (one.high - one.low))
-
-
-def _quartiles(values: np.ndarray) -> tuple[float, float, float]:
-    low, middle, high = np.percentile(values, (25, 50, 75))
-    return float(low), float(middle), float(high)
 
 
 def _kind(why: str) -> str:

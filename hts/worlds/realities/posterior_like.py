@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,20 +18,15 @@ from hts.worlds.realities.ranges import Drawn
 from hts.worlds.realities.space import Space
 
 
-def heading_of(folder: Path) -> Mapping[str, Any]:
-    """First line of draws.jsonl. Raises RunError."""
-    return draws_of(folder).heading
-
-
 def is_population(folder: Path) -> bool:
     """Whether the draws of a folder are held against recordings."""
-    return (folder / LINES).is_file() and "like" in heading_of(folder)
+    return (folder / LINES).is_file() and "like" in draws_of(folder).heading
 
 
 def accepted(folder: Path) -> str:
     """What was kept and what it took: one line."""
-    generations = _read(folder)
-    simulated, moved = _counts(generations)
+    generations = generations_in(folder)
+    simulated, moved = sampler.effort(particle for one in generations for particle in one.population)
     tries = sum(one.simulated for one in generations[0].population) if generations else 0
     kept = len(kept_of(folder))
     bound = generations[-1].bound if generations else None
@@ -46,7 +40,7 @@ def accepted(folder: Path) -> str:
 
 def text(parameters: Sequence[Drawn], folder: Path, most: int = 12) -> str:
     """Tables in markdown: generations, figures, parameters, structures, and the realities that were kept."""
-    generations, like = _read(folder), Likeness.model_validate(heading_of(folder)["like"])
+    generations, like = generations_in(folder), Likeness.model_validate(draws_of(folder).heading["like"])
     if not generations:
         return "The first generation is not whole yet."
     last = generations[-1]
@@ -93,7 +87,7 @@ def narrowed(parameters: Sequence[Drawn], last: Generation, weights: Mapping[int
 def _generations(generations: Sequence[Generation]) -> list[str]:
     rows = ["| generation | within | simulations | moves accepted | distance: best, median |", "|---|---|---|---|---|"]
     for one in generations:
-        simulated, moved = _counts([one])
+        simulated, moved = sampler.effort(one.population)
         distances = [each.found.distance for each in one.population]
         within = "prior" if one.bound is None else f"{one.bound:.2f}"
         share = "" if one.bound is None else f"{moved / max(simulated, 1):.0%}"
@@ -126,15 +120,7 @@ def _figures(like: Likeness, first: Generation, last: Generation) -> list[str]:
     ]
 
 
-def _counts(generations: Sequence[Generation]) -> tuple[int, int]:
-    particles = [one for generation in generations for one in generation.population]
-    return sum(one.simulated for one in particles), sum(one.accepted for one in particles)
-
-
-def lines_of(folder: Path) -> list[dict[str, Any]]:
-    """Particles of a folder, whole lines alone. Raises RunError."""
-    return draws_of(folder).lines
-
-
-def _read(folder: Path) -> list[Generation]:
-    return generations_of(lines_of(folder), heading_of(folder)["size"])
+def generations_in(folder: Path) -> list[Generation]:
+    """Those of a folder that are whole. Raises RunError."""
+    draws = draws_of(folder)
+    return generations_of(draws.lines, draws.heading["size"])

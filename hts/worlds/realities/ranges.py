@@ -56,13 +56,19 @@ class Drawn:
     def logarithmic(self) -> bool:
         return self.low > 0 and self.high >= LOGARITHMIC * self.low and not self.whole
 
+    @property
+    def group(self) -> str:
+        """The section of its key: parameters of one have as many values each, where they have several."""
+        return self.key.rpartition(".")[0]
+
+    def at(self, share: float) -> float:
+        """The value below which this share of the range lies, as it is drawn over."""
+        low, high = self.low, self.high
+        return low * (high / low) ** share if self.logarithmic else low + (high - low) * share
+
     def quartiles(self) -> tuple[float, float, float]:
-        """Of the range, as it is drawn over."""
-        low, ratio = self.low, self.high / self.low if self.logarithmic else 1.0
-        first, second, third = (
-            low * ratio**share if self.logarithmic else low + (self.high - low) * share for share in (0.25, 0.5, 0.75)
-        )
-        return first, second, third
+        """Of the range."""
+        return self.at(0.25), self.at(0.5), self.at(0.75)
 
 
 def drawn_parameters(registry: Registry) -> list[Drawn]:

@@ -18,8 +18,9 @@ reversible with respect to what each of them leaves as it is).
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -134,24 +135,23 @@ def next_bound(distances: Sequence[float], within: float) -> float:
 def ancestors(distances: Sequence[float], bound: float, rng: np.random.Generator) -> list[int]:
     """Who each place of the next generation begins from: who agrees stays, the others' places go to those in turn."""
     alive = [index for index, distance in enumerate(distances) if distance <= bound]
-    turn = list(rng.permutation(alive))
-    found, given = [], 0
-    for index, distance in enumerate(distances):
-        if distance <= bound:
-            found.append(index)
-        else:
-            found.append(int(turn[given % len(turn)]))
-            given += 1
-    return found
+    turn = itertools.cycle(rng.permutation(alive).tolist())
+    return [index if distance <= bound else next(turn) for index, distance in enumerate(distances)]
 
 
 def next_step(step: float, population: Sequence[Particle]) -> float:
     """Larger steps where more than `ACCEPTED` of the simulated ones were accepted, smaller where fewer."""
-    simulated, accepted = (sum(getattr(one, name) for one in population) for name in ("simulated", "accepted"))
+    simulated, accepted = effort(population)
     if not simulated:
         return step
     factor = min(max((accepted / simulated) / ACCEPTED, 0.5), 2.0) ** 0.7
     return float(min(max(step * factor, LEAST_STEP), MOST_STEP))
+
+
+def effort(population: Iterable[Particle]) -> tuple[int, int]:
+    """Simulations that it took to come here, and how many of them were accepted."""
+    particles = list(population)
+    return sum(one.simulated for one in particles), sum(one.accepted for one in particles)
 
 
 def copies(population: Sequence[Particle]) -> dict[int, float]:

@@ -7,7 +7,6 @@ group has; so every point is a draw, and a walk from point to point may turn a s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,36 +18,29 @@ from hts.worlds.realities.ranges import Drawn, switches
 EDGE = 1e-12  # coordinates keep so far from 0 and 1, where a normal variable is infinite
 
 
-@dataclass(frozen=True)
-class Coordinate:
-    """key: of the switch or the value, with its number where there are several. stepped: a choice between whole things
-    (a switch, a count, a serial number), to which near points mean nothing."""
-
-    key: str
-    stepped: bool
-
-
 class Space:
-    """All draws of these parameters, as the unit cube with its uniform prior."""
+    """All draws of these parameters, as the unit cube with its uniform prior.
+
+    at: place of each coordinate, by the key of its switch or value, with its number where there are several; stepped:
+    (D,), choices between whole things (a switch, a count, a serial number), to which near points mean nothing.
+    """
 
     def __init__(self, parameters: Sequence[Drawn]) -> None:
         self.parameters = tuple(parameters)
         self.switches = tuple(switches(list(parameters)))
-        groups = {_group(one): one.counts[1] for one in parameters if one.counts}
-        found = [Coordinate(f"switch {name}", True) for name in self.switches]
-        found += [Coordinate(f"count {name}", True) for name in groups]
+        groups = {one.group: one.counts[1] for one in parameters if one.counts}
+        found = {f"switch {name}": True for name in self.switches} | {f"count {name}": True for name in groups}
         for one in parameters:
             if one.counts:
-                found += [Coordinate(f"{one.key} {index}", False) for index in range(one.counts[1])]
+                found |= {f"{one.key} {index}": False for index in range(one.counts[1])}
             elif not one.boolean:
-                found.append(Coordinate(one.key, one.whole))
-        self.coordinates = tuple(found)
-        self.at = {one.key: index for index, one in enumerate(found)}
-        self.stepped = np.array([one.stepped for one in found])
+                found[one.key] = one.whole
+        self.at = {key: index for index, key in enumerate(found)}
+        self.stepped = np.array([*found.values()])
 
     @property
     def size(self) -> int:
-        return len(self.coordinates)
+        return len(self.at)
 
     def prior(self, rng: np.random.Generator) -> np.ndarray:
         """A point of the prior, (D,)."""
@@ -82,14 +74,10 @@ class Space:
             return True
         if one.counts:
             low, high = one.counts
-            count = low + int(point[self.at[f"count {_group(one)}"]] * (high - low + 1))
+            count = low + int(point[self.at[f"count {one.group}"]] * (high - low + 1))
             several = [number(one, float(point[self.at[f"{one.key} {index}"]])) for index in range(count)]
             return sorted(several) if one.ascending else several
         share = float(point[self.at[one.key]])
         if one.whole:
             return int(one.low) + int(share * (int(one.high) - int(one.low) + 1))
         return number(one, share)
-
-
-def _group(one: Drawn) -> str:
-    return one.key.rpartition(".")[0]

@@ -28,7 +28,7 @@ from hts.recordings.recording import Recording
 from hts.worlds.base import file_hash, request_id, seed_sequence
 from hts.worlds.realities.workers import worker_processes
 from hts.worlds.twin.dynamics import Dynamics
-from hts.worlds.twin.instruments import Wrapped, instruments_of_reality
+from hts.worlds.twin.instruments import Wrapped, maker
 from hts.worlds.twin.parameters import TwinSettings, resolved_settings
 from hts.worlds.twin.programme import head_to_head
 from hts.worlds.twin.sensors import Sensors
@@ -140,13 +140,7 @@ def one_group(asked: Truth, group: range) -> list[tuple[float, Walked]]:
     robot, objective = registry.make_robot(asked.robot), _objective(asked)
     reference = {} if asked.reality == DEFAULT else {"reality": asked.reality}
     settings = resolved_settings(TwinSettings.model_validate(reference), asked.robot)
-    made = instruments_of_reality(
-        registry,
-        robot,
-        {asked.objective: asked.settings},
-        settings.instruments,
-        settings.dynamics.structure.torque_follows_supply,
-    )
+    made = maker(registry, robot, {asked.objective: asked.settings}, settings)()
     wanted = {channel.name for channel in objective.real_channels}
     exact = {name: Exact(name, one) if wanted & {c.name for c in one.channels} else one for name, one in made.items()}
     request = request_id("truth", file_hash(asked.policy), file_hash(asked.reference), settings.reality_sha256)

@@ -8,8 +8,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from hts.errors import BY_NAME, WorldError
 
@@ -85,7 +86,8 @@ class Child:
         self._process.wait()
         for pipe in (self._process.stdin, self._process.stdout, self._log):
             if pipe is not None:
-                _close(pipe)
+                with suppress(BrokenPipeError):  # what was still in the buffer has nobody to read it
+                    pipe.close()
         if self._log_path.exists() and self._log_path.stat().st_size == 0:
             self._log_path.unlink()
 
@@ -101,10 +103,3 @@ class Child:
         if -code == signal.SIGKILL:
             how += " (which the system sends to what takes more memory than there is)"
         return WorldError(f"The twin's process ended {how}; it said: {said}.")
-
-
-def _close(pipe: IO[str]) -> None:
-    try:
-        pipe.close()
-    except BrokenPipeError:
-        return  # what was still in the buffer has nobody to read it

@@ -9,26 +9,17 @@ from __future__ import annotations
 
 import ctypes
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 
 SYMBOLS = ("mj_step", "mj_setState", "mj_getState")
 LIBRARIES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")
 
 
-@dataclass(frozen=True)
-class Steps:
-    """`kernel.advance` and `kernel.rotate`."""
-
-    advance: Callable[..., None]
-    rotate: Callable[..., None]
-
-
 @cache
-def load() -> Steps | None:
-    """The functions of `kernel.py`; None, and a line in the log, where numba or the engine cannot be loaded."""
+def load() -> ModuleType | None:
+    """`kernel.py`; None, and a line in the log, where numba or the engine cannot be loaded."""
     try:
         _name_engine()
         from hts.worlds.twin import kernel
@@ -40,7 +31,7 @@ def load() -> Steps | None:
             error,
         )
         return None
-    return Steps(kernel.advance, kernel.rotate)
+    return kernel
 
 
 def _name_engine() -> None:

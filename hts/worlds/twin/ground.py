@@ -16,6 +16,8 @@ from hts.worlds.twin.structure import BodyStructure, SessionParameters
 PERIOD = 4.0  # m
 MARGIN = 0.6  # m: beyond half a period on each side, for the legs of a robot that stands there
 CELL = 0.05  # m
+HALF = PERIOD / 2 + MARGIN  # m
+CELLS = round(2 * HALF / CELL) + 1  # of the height field, along each of its sides
 LONGEST_BUMP = 2.0  # m
 GUST_SECONDS = 2.0
 
@@ -47,9 +49,7 @@ class Conditions:
 
 def bumpy_floor(root: Any, roughness: float) -> Any:
     """The robot's model with a height field instead of its plane; `heights` fills it in after compilation."""
-    half = PERIOD / 2 + MARGIN
-    cells = round(2 * half / CELL) + 1
-    field = root.asset.add("hfield", name="twin_floor", nrow=cells, ncol=cells, size=[half, half, 2 * roughness, 0.1])
+    field = root.asset.add("hfield", name="twin_floor", nrow=CELLS, ncol=CELLS, size=[HALF, HALF, 2 * roughness, 0.1])
     for geom in root.worldbody.geom:
         if geom.type == "plane":
             geom.type, geom.hfield = "hfield", field
@@ -64,8 +64,7 @@ def heights(structure: BodyStructure, serial: int) -> np.ndarray:
     A sum of waves that repeat after PERIOD, with wavelengths between `bump_length` and LONGEST_BUMP, scaled so that the
     highest or deepest bump is `floor_roughness`.
     """
-    half = PERIOD / 2 + MARGIN
-    axis = np.linspace(-half, half, round(2 * half / CELL) + 1)
+    axis = np.linspace(-HALF, HALF, CELLS)
     rng = np.random.default_rng([serial, 4])
     most = max(1, int(PERIOD / max(structure.bump_length, 2 * CELL)))
     least = PERIOD / LONGEST_BUMP

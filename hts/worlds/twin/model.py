@@ -186,16 +186,10 @@ def _foot_sensors(root: Any, spec: RobotSpec) -> None:
 
 def effective_foot_mass(model: mujoco.MjModel, qpos: np.ndarray, num_feet: int) -> np.ndarray:
     """m_e = 1 / (J_z M^-1 J_z^T) of each foot, kg (F,): what a foot weighs to the floor that it hits."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = qpos
-    mujoco.mj_forward(model, data)
-    masses = np.empty(num_feet)
-    jacobian, rotation, solved = np.zeros((3, model.nv)), np.zeros((3, model.nv)), np.zeros((1, model.nv))
-    for foot in range(num_feet):
-        mujoco.mj_jacSite(model, data, jacobian, rotation, model.site(f"twin_foot_{foot}").id)
-        mujoco.mj_solveM(model, data, solved, jacobian[2:3])
-        masses[foot] = 1.0 / float(jacobian[2] @ solved[0])
-    return masses
+    data, rows = _posed(model, qpos, num_feet)
+    solved = np.zeros_like(rows)
+    mujoco.mj_solveM(model, data, solved, rows)
+    return np.array([1.0 / float(row @ one) for row, one in zip(rows, solved, strict=True)])
 
 
 def statics(model: mujoco.MjModel, qpos: np.ndarray, num_feet: int) -> np.ndarray:
@@ -204,13 +198,18 @@ def statics(model: mujoco.MjModel, qpos: np.ndarray, num_feet: int) -> np.ndarra
     Feet push straight up, with the smallest sum of squares that carries the weight and keeps the trunk level:
     tau = g(q) - sum_i J_zi^T f_i, f the minimum-norm solution of the trunk's six equations.
     """
+    data, rows = _posed(model, qpos, num_feet)
+    force = np.linalg.lstsq(rows[:, :6].T, data.qfrc_bias[:6], rcond=None)[0]
+    return data.qfrc_bias - rows.T @ force
+
+
+def _posed(model: mujoco.MjModel, qpos: np.ndarray, num_feet: int) -> tuple[mujoco.MjData, np.ndarray]:
+    """The robot in a pose, and J_z of each foot there, (F, nv)."""
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
     mujoco.mj_forward(model, data)
-    rows, rotation = np.zeros((num_feet, model.nv)), np.zeros((3, model.nv))
+    rows, jacobian, rotation = np.zeros((num_feet, model.nv)), np.zeros((3, model.nv)), np.zeros((3, model.nv))
     for foot in range(num_feet):
-        jacobian = np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, jacobian, rotation, model.site(f"twin_foot_{foot}").id)
         rows[foot] = jacobian[2]
-    force = np.linalg.lstsq(rows[:, :6].T, data.qfrc_bias[:6], rcond=None)[0]
-    return data.qfrc_bias - rows.T @ force
+    return data, rows

@@ -7,7 +7,6 @@ in it. Names are those of files in folders `realities` of the packages that brin
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from importlib import import_module
@@ -20,6 +19,7 @@ from hts.config import Config
 from hts.config_base import NameOrFile
 from hts.errors import ConfigError, UnfitWorldError, unknown_name
 from hts.explain import explain
+from hts.worlds.base import file_hash
 
 FOLDER, SUFFIX = "realities", ".json"
 REFERENCE = NameOrFile(SUFFIX)
@@ -91,7 +91,7 @@ def locate(reference: str) -> Path:
 def sha256(path: Path) -> str:
     """Of the file's bytes."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return file_hash(path)
     except OSError as error:
         raise ConfigError(f"reality {path}: cannot be read ({error.strerror}).") from error
 

@@ -81,7 +81,9 @@ class Batch:
         step = settings.sensors.scale_resolution
         self.mass_kg = round(round(self.machine.total_mass / step) * step, 4)
 
-    def run(self, sessions: Sequence[Session], world: str, progress: Progress | None = None) -> list[list[Recording]]:
+    def run(
+        self, sessions: Sequence[Session], world: str, progress: Progress = lambda share: None
+    ) -> list[list[Recording]]:
         """Recordings of each session, in the order of its blocks. Sessions must have blocks of the same lengths."""
         recordings: list[list[Recording]] = [[] for _ in sessions]
         done, total = 0.0, sessions[0].seconds
@@ -90,7 +92,7 @@ class Batch:
         for blocks in zip(*(session.blocks for session in sessions), strict=True):
             share = blocks[0].schedule.seconds / total
             trimming = self._trimming(blocks, sessions)
-            recorder = self._run_block(blocks, _part_of(progress, done, share), trimming)
+            recorder = self._run_block(blocks, trimming, progress, done, share)
             done += share
             if blocks[0].settle:
                 for instrument in self.instruments.values():
@@ -132,7 +134,10 @@ class Batch:
         self._held[number][_held_key(block)] = dataclasses.replace(found, falls=0)
         return found.falls
 
-    def _run_block(self, blocks: Sequence[Block], progress: Progress, trimming: Trimming | None) -> Recorder:
+    def _run_block(
+        self, blocks: Sequence[Block], trimming: Trimming | None, progress: Progress, done: float, share: float
+    ) -> Recorder:
+        """done, share: of the whole, for `progress`, when these blocks begin and by them."""
         commanded = np.stack([commands(block.schedule, self.spec.control_rate_hz) for block in blocks])  # (W, T, 3)
         for number, block in enumerate(blocks):
             if block.speed == "held":
@@ -165,7 +170,7 @@ class Batch:
             self.body.advance(readings["joint_target"], self.steps, tuple(self.instruments.values()))
             self._ticks += 1
             if step % 50 == 0:
-                progress(step / commanded.shape[1])
+                progress(done + share * (step / commanded.shape[1]))
         return recorder
 
     def supply(self) -> None:
@@ -199,16 +204,6 @@ class Batch:
 def _held_key(block: Block) -> tuple[str | None, float]:
     """A held command belongs to a policy at an asked speed."""
     return block.policy, block.schedule.commands[0].vx
-
-
-def _part_of(progress: Progress | None, done: float, share: float) -> Progress:
-    """Progress of a part that begins at `done` and makes up `share` of the whole."""
-
-    def tell(part: float) -> None:
-        if progress is not None:
-            progress(done + share * part)
-
-    return tell
 
 
 class PolicyBatch:

@@ -142,9 +142,7 @@ class TwinWorld(World):
         if number == 0:
             walkers = [against if who is None else paths[who] for who in order]
             self._keep_commands(recordings, walkers * len(speeds))
-        per_speed = [recordings[i : i + len(order)] for i in range(0, len(recordings), len(order))]
-        shared = [shared_out(blocks, order, len(paths)) for blocks in per_speed]
-        return [[r for rows in shared for r in rows[policy]] for policy in range(len(paths))]
+        return shared_out(recordings, order, len(paths))
 
     def hold_speed(self, hold: HoldSpeed | None) -> bool:
         self._hold, self._found = hold, {}

@@ -91,7 +91,7 @@ def measured(policy: Policy, seconds: float) -> dict[str, Any]:
                 for _ in range(round(seconds / loop.period)):
                     _step(loop, policy, log)
             log.closing().wait()
-            found = figures(loop, loop.link)
+            found = figures(loop)
         finally:
             _end(robot, loop)
     return {**found, "imported": sorted(set(FORBIDDEN) & set(sys.modules))}

@@ -192,16 +192,12 @@ def _check_entry(entry: Mapping[str, Any], rate: float, reach: Reach, where: str
         ("action_scale", -machine.LARGEST_SCALE, machine.LARGEST_SCALE),
     ):
         values = _numbers(entry, key, where)
-        wrong = np.flatnonzero((values < low) | (values > high))
-        if wrong.size:
-            joint = int(wrong[0])
+        if (joint := machine.first_of((values < low) | (values > high))) is not None:
             raise RuntimeFault(
                 f"{where}: {key} {values[joint]:g} of {machine.JOINTS[joint]}, this robot takes {low:g} to {high:g}."
             )
     pose = _numbers(entry, "default_pose", where)
-    outside = np.flatnonzero((pose < reach.low) | (pose > reach.high))
-    if outside.size:
-        joint = int(outside[0])
+    if (joint := machine.first_of((pose < reach.low) | (pose > reach.high))) is not None:
         raise RuntimeFault(
             f"{where}: default_pose {pose[joint]:g} rad of {machine.JOINTS[joint]}, its range is "
             f"{reach.low[joint]:g} to {reach.high[joint]:g}."

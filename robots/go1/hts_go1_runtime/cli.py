@@ -100,7 +100,7 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
             finally:
                 loop.close()
                 if loop.step_seconds:
-                    events.say("figures", **figures(loop, link), limited_targets=session.limited_targets)
+                    events.say("figures", **figures(loop), limited_targets=session.limited_targets)
                 events.say("ended", rows=session.done)
     return DONE
 
@@ -148,7 +148,7 @@ def _described(bundle: Bundle) -> str:
     return "\n".join(lines)
 
 
-class _Parser(argparse.ArgumentParser):
+class Parser(argparse.ArgumentParser):
     """Refuses in one line, as everything here does; `-h` shows the usage."""
 
     def error(self, message: str) -> NoReturn:
@@ -170,19 +170,19 @@ def _number(low: float, high: float) -> Callable[[str], float]:
     return number
 
 
-def _whole(low: int, high: int) -> Callable[[str], int]:
+def whole(low: int, high: int) -> Callable[[str], int]:
     """Type of an option that is a whole number from low to high."""
 
-    def whole(text: str) -> int:
+    def number(text: str) -> int:
         if not text.isdecimal() or not low <= int(text) <= high:
             raise argparse.ArgumentTypeError(f"'{text}', expected a whole number from {low} to {high}")
         return int(text)
 
-    return whole
+    return number
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="hts_go1_runtime", description="Policies of a deploy bundle on a Go1 or Go2.")
+    parser = Parser(prog="hts_go1_runtime", description="Policies of a deploy bundle on a Go1 or Go2.")
     commands = parser.add_subparsers(dest="command", required=True)
     check = commands.add_parser("check", help="check a bundle; nothing moves")
     check.add_argument("bundle", type=Path)
@@ -220,9 +220,9 @@ def _parser() -> argparse.ArgumentParser:
     bench = commands.add_parser("bench", help="step times and stops on this computer, against a made-up robot")
     bench.add_argument("bundle", type=Path)
     bench.add_argument("--seconds", type=seconds, default=120.0, help="of walking; 0: stops only")
-    bench.add_argument("--stops", type=_whole(0, 1000), default=3, help="how often to try each reason to stop")
+    bench.add_argument("--stops", type=whole(0, 1000), default=3, help="how often to try each reason to stop")
     for one in (run, bench):
-        one.add_argument("--priority", type=_whole(0, 99), default=20, help="real-time, 1 to 99; 0: none")
+        one.add_argument("--priority", type=whole(0, 99), default=20, help="real-time, 1 to 99; 0: none")
     for one in (run, check):
         one.add_argument("--vouch", action="append", default=[], metavar="HASH", help=f"{VOUCH}; repeatable")
     return parser

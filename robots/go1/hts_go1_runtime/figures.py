@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from hts_go1_runtime.link import Link
 from hts_go1_runtime.loop import Loop
 
 
-def figures(loop: Loop, link: Link) -> dict[str, Any]:
+def figures(loop: Loop) -> dict[str, Any]:
     """Step times in ms (from the wake-up at the deadline until the command was sent), how many commands left a whole
     period or more after they were due, memory, packets."""
     step, late = 1e3 * np.array(loop.step_seconds), 1e3 * np.array(loop.late_seconds)
@@ -28,5 +27,5 @@ def figures(loop: Loop, link: Link) -> dict[str, Any]:
         "missed_deadlines": int(np.count_nonzero(late >= period)),
         "memory_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, 1),
         "modules": len(sys.modules),
-        "packets": vars(link.counts) | {},
+        "packets": vars(loop.link.counts) | {},
     }

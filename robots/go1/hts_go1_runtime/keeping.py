@@ -17,7 +17,7 @@ from pathlib import Path
 from hts_go1_runtime.errors import RuntimeFault
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.log import RowLog
-from hts_go1_runtime.operator_key import SIGNALS
+from hts_go1_runtime.operator_key import handled
 from hts_go1_runtime.rows import Row
 
 PATIENCE = 10.0  # s that rows may take to the other folder
@@ -142,9 +142,5 @@ def heard() -> Iterator[list[int]]:
     if threading.current_thread() is not threading.main_thread():
         yield numbers  # only that one may ask for signals
         return
-    before = {one: signal.signal(one, lambda number, frame: numbers.append(number)) for one in SIGNALS}
-    try:
+    with handled(lambda number, frame: numbers.append(number)):
         yield numbers
-    finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)

@@ -40,18 +40,13 @@ class Loop:
         self._lock = threading.RLock()  # a signal's handler may come while it is held
         self._stopped: Stopped | None = None
         self.stopped_at: float | None = None
-        self._due = 0.0
+        self.due = 0.0  # when the current step is, or was
         self._alarm = np.inf
         self._over = threading.Event()
         self._watch: threading.Thread | None = None
         self.step_seconds: list[float] = []  # from the deadline's wake-up until the command was sent
         self.late_seconds: list[float] = []  # from the deadline until the command was sent
         self.state: State
-
-    @property
-    def due(self) -> float:
-        """When the current step is, or was, due."""
-        return self._due
 
     def start(self) -> State:
         """Wait for the robot's first state; from then on it is watched. Raises RuntimeFault if none comes."""
@@ -67,7 +62,7 @@ class Loop:
             self.link.hello()
             states = self.link.wait(self.link.now() + self.period)
         self.state = states[-1]
-        self._due = self.link.now()
+        self.due = self.link.now()
         if not self.link.simulated:
             self._watch = threading.Thread(target=self._watchdog, daemon=True)
             self._watch.start()
@@ -78,15 +73,15 @@ class Loop:
 
         Raises Stopped once the robot was stopped, by whom ever.
         """
-        self._due += self.period
-        self._alarm = self._due + self.limits.late
-        if not self.link.simulated and self.link.now() >= self._due - CLOSE:  # late: no reason not to look
+        self.due += self.period
+        self._alarm = self.due + self.limits.late
+        if not self.link.simulated and self.link.now() >= self.due - CLOSE:  # late: no reason not to look
             self.look(self.link.now())
-        while self.link.now() < self._due - CLOSE:
-            self.look(self._due)
+        while self.link.now() < self.due - CLOSE:
+            self.look(self.due)
         began, clock = time.perf_counter(), self.link.now()
-        if clock - self._due > self.limits.late:
-            self.stop("late loop", f"a step began {1e3 * (clock - self._due):.0f} ms after it was due")
+        if clock - self.due > self.limits.late:
+            self.stop("late loop", f"a step began {1e3 * (clock - self.due):.0f} ms after it was due")
         state = self.state
         command = make(state)
         if not all(np.isfinite(values).all() for values in (command.q, command.kp, command.kd)):
@@ -94,7 +89,7 @@ class Loop:
         self._send(command)
         if len(self.step_seconds) < KEPT_TIMES:
             self.step_seconds.append(time.perf_counter() - began)
-            self.late_seconds.append(self.link.now() - self._due)
+            self.late_seconds.append(self.link.now() - self.due)
         return state
 
     def watch(self, seconds: float) -> list[State]:
@@ -174,7 +169,7 @@ class Loop:
             self.link.wait(self.link.now())
         seen = self.watch(AFRESH)
         self._guard = Guard(self.limits)
-        self._due = self.link.now()
+        self.due = self.link.now()
         return seen
 
     def close(self) -> None:

@@ -26,6 +26,12 @@ def per_joint(values: dict[str, float]) -> np.ndarray:
     return np.array([values[part] for _ in c.LEGS for part in c.PARTS])
 
 
+def first_of(joints: np.ndarray) -> int | None:
+    """The first joint of a mask (12,); None where there is none."""
+    found = np.flatnonzero(joints)
+    return int(found[0]) if found.size else None
+
+
 TORQUE_LIMIT = per_joint(c.TORQUE_LIMIT)
 VELOCITY_LIMIT = per_joint(c.VELOCITY_LIMIT)
 POSITION_LOW = per_joint({part: c.POSITION_LIMIT[part][0] for part in c.PARTS})

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from hts_go1_runtime.errors import RuntimeFault
 from hts_go1_runtime.link import State
-from hts_go1_runtime.machine import JOINTS, Limits
+from hts_go1_runtime.machine import JOINTS, Limits, first_of
 
 # Chosen, measured on no robot: to stand still, sit down and be let go takes about 4 s, in which a motor warms by less.
 DEGREES = 5.0  # below the temperature at which the robot is stopped, degC
@@ -26,9 +24,7 @@ class Nearing:
 
     def see(self, state: State) -> None:
         """Raises RuntimeFault, at which a robot sits down, near a limit at which it would be damped."""
-        hot = np.flatnonzero(state.temperature >= self._hot)
-        if hot.size:
-            joint = int(hot[0])
+        if (joint := first_of(state.temperature >= self._hot)) is not None:
             raise RuntimeFault(
                 f"{JOINTS[joint]} at {state.temperature[joint]:.0f} degC, and at {self._limits.temperature:g} the "
                 "robot is let fall: the visit ends here. Let it cool down, then run the same again; rows that have a "

@@ -38,15 +38,19 @@ class StopFile:
 def signals(brake: Brake) -> Iterator[None]:
     """While inside, signals brake the robot instead of ending the process."""
 
-    def pressed(number: int, frame: object) -> None:
-        brake("operator", f"signal {signal.Signals(number).name}")
+    with handled(lambda number, frame: brake("operator", f"signal {signal.Signals(number).name}")):
+        yield
 
-    before = {one: signal.signal(one, pressed) for one in SIGNALS}
+
+@contextlib.contextmanager
+def handled(handler: Callable[[int, object], None]) -> Iterator[None]:
+    """While inside, this is done at any of SIGNALS, and nothing else. In the main thread alone."""
+    before = {one: signal.signal(one, handler) for one in SIGNALS}
     try:
         yield
     finally:
-        for one, handler in before.items():
-            signal.signal(one, handler)
+        for one, was in before.items():
+            signal.signal(one, was)
 
 
 def listen(brake: Brake, keys: IO[str] | None = None, gone: Callable[[str], None] = lambda line: None) -> None:

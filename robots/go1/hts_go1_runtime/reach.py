@@ -57,11 +57,10 @@ def reach_of(robot: Mapping[str, Any], where: str) -> Reach:
         ("velocity_limit", velocity <= machine.VELOCITY_LIMIT + 1e-9),
         ("torque_limit", torque <= machine.TORQUE_LIMIT + 1e-9),
     ):
-        if not fits.all():  # so put, a limit that is no number is refused too
-            joint = machine.JOINTS[int(np.flatnonzero(~fits)[0])]
+        if (joint := machine.first_of(~fits)) is not None:  # so put, a limit that is no number is refused too
             raise RuntimeFault(
-                f"{where}: {what} of {joint} is wider than the robot's own, or no number. Make the bundle for this "
-                "robot."
+                f"{where}: {what} of {machine.JOINTS[joint]} is wider than the robot's own, or no number. Make the "
+                "bundle for this robot."
             )
     found = Reach(
         np.maximum(low, machine.TARGET_LOW),
@@ -69,9 +68,7 @@ def reach_of(robot: Mapping[str, Any], where: str) -> Reach:
         np.minimum(torque, machine.TORQUE_LIMIT),
         np.minimum(velocity, machine.VELOCITY_LIMIT),
     )
-    none = np.flatnonzero((found.low >= found.high) | (found.torque <= 0) | (velocity <= 0))
-    if none.size:
-        at = int(none[0])
+    if (at := machine.first_of((found.low >= found.high) | (found.torque <= 0) | (velocity <= 0))) is not None:
         raise RuntimeFault(
             f"{where}: {machine.JOINTS[at]} may go from {found.low[at]:g} to {found.high[at]:g} rad at "
             f"{velocity[at]:g} rad/s with {found.torque[at]:g} N·m: nothing can be done with that. Make the "

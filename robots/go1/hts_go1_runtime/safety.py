@@ -9,7 +9,7 @@ import numpy as np
 from hts_go1_runtime.following import Following
 from hts_go1_runtime.frozen import Frozen
 from hts_go1_runtime.link import Command, State
-from hts_go1_runtime.machine import JOINTS, POSITION_HIGH, POSITION_LOW, VELOCITY_LIMIT, Limits
+from hts_go1_runtime.machine import JOINTS, POSITION_HIGH, POSITION_LOW, VELOCITY_LIMIT, Limits, first_of
 
 REASONS = (
     "tilt", "joint limit", "joint speed", "over-current", "low voltage", "temperature", "lost link", "late loop",
@@ -58,24 +58,18 @@ class Guard:
         if gravity[2] > self._upright:
             tilt = math.degrees(math.acos(min(1.0, max(-1.0, -gravity[2]))))
             return "tilt", f"{tilt:.0f} degrees, at most {math.degrees(limits.tilt):.0f}"
-        outside = np.flatnonzero((state.q < self._low) | (state.q > self._high))
-        if outside.size:
-            joint = int(outside[0])
+        if (joint := first_of((state.q < self._low) | (state.q > self._high))) is not None:
             return "joint limit", (
                 f"{JOINTS[joint]} at {state.q[joint]:.3f} rad, its range is {POSITION_LOW[joint]:.3f} to "
                 f"{POSITION_HIGH[joint]:.3f}"
             )
-        fast = np.flatnonzero(np.abs(state.dq) > self._speed)
-        if fast.size:
-            joint = int(fast[0])
+        if (joint := first_of(np.abs(state.dq) > self._speed)) is not None:
             return "joint speed", f"{JOINTS[joint]} at {state.dq[joint]:.1f} rad/s, at most {self._speed[joint]:.1f}"
         if abs(state.current) > limits.current:  # of either sign: a link may count the other way
             return "over-current", f"{state.current:.1f} A drawn from the pack, at most {limits.current:g}"
         if state.voltage < limits.voltage:
             return "low voltage", f"{state.voltage:.2f} V at the pack, at least {limits.voltage:g}"
-        hot = np.flatnonzero(state.temperature > limits.temperature)
-        if hot.size:
-            joint = int(hot[0])
+        if (joint := first_of(state.temperature > limits.temperature)) is not None:
             return (
                 "temperature",
                 f"{JOINTS[joint]} at {state.temperature[joint]:.0f} degC, at most {limits.temperature:g}",

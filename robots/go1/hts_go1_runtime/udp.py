@@ -55,7 +55,7 @@ class UdpLink(Link):
         except RuntimeFault:
             self._socket.close()
             raise
-        self._send(pack(DONE, 0xFFFFFFFF, 0.0))
+        self.hello()
 
     def now(self) -> float:
         return self._clock if self.simulated else time.monotonic()

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import signal
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
 
 from hts.errors import HtsError
-from hts_go1_runtime.cli import hurry
+from hts_go1_runtime.cli import Parser, hurry, whole
 from hts_go1_stand_in.body import PER_READING, STATE_SECONDS, Body
 from hts_go1_stand_in.line import Line
 from hts_go1_stand_in.serve import serve
@@ -18,8 +16,8 @@ from hts_go1_stand_in.serve import serve
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Serve until nobody has spoken for a while. Exit code 0; 2 and one line for a mistake in what was asked for."""
-    parser = _Parser(prog="hts_go1_stand_in", description="Play a Go1 over UDP.")
-    parser.add_argument("--port", type=_port, required=True, help="on 127.0.0.1; 0: a free one")
+    parser = Parser(prog="hts_go1_stand_in", description="Play a Go1 over UDP.")
+    parser.add_argument("--port", type=whole(0, 65535), required=True, help="on 127.0.0.1; 0: a free one")
     parser.add_argument("--reality", help="name or file of a reality; left out: the twin of the settings")
     parser.add_argument("--seed", type=int, default=0, help="of noise, of the session, of the line")
     parser.add_argument("--objective", action="append", help="whose instruments it carries (default: power)")
@@ -64,19 +62,6 @@ def ready(reality: str | None, objectives: list[str], seed: int) -> Body:
             another.state(number)
             another.advance()
     return Body(reality, objectives, seed)
-
-
-class _Parser(argparse.ArgumentParser):
-    """Refuses in one line; `-h` shows the usage."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"refused: {message}\n")
-
-
-def _port(text: str) -> int:
-    if not text.isdecimal() or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f"'{text}', expected a whole number from 0 to 65535")
-    return int(text)
 
 
 if __name__ == "__main__":

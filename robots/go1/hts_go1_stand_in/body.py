@@ -10,8 +10,7 @@ from hts import plugins
 from hts.testing.twin import (
     Batch,
     TwinSettings,
-    instruments_of_reality,
-    make_instruments,
+    maker,
     request_id,
     resolved_settings,
     seed_sequence,
@@ -35,12 +34,7 @@ class Body:
         registry = plugins.load()
         robot = registry.make_robot("go1", {})
         settings = resolved_settings(TwinSettings.model_validate({"reality": reality} if reality else {}), "go1")
-        wanted: dict[str, dict[str, Any]] = {name: {} for name in objectives}
-        self._sags = settings.dynamics.structure.torque_follows_supply
-        if reality:
-            instruments = instruments_of_reality(registry, robot, wanted, settings.instruments, self._sags)
-        else:
-            instruments = make_instruments(registry, robot, wanted, settings.instruments)
+        instruments = maker(registry, robot, {name: {} for name in objectives}, settings)()
         self._batch = Batch(robot, settings, instruments, 1, seed_sequence(seed, request_id("stand-in", seed)))
         self._body, self._instruments = self._batch.body, tuple(instruments.values())
         self._steps = round(STATE_SECONDS / settings.dynamics.physics_dt)
@@ -75,11 +69,7 @@ class Body:
         if not self._on_stool and self._heard is not None and self.clock - self._heard > PATIENCE:
             self._set_gains(DAMPING)
             self._damped = True
-        if self._sags:
-            for instrument in self._instruments:
-                ratio = instrument.supply()
-                if ratio is not None:
-                    self._body.set_supply(ratio)
+        self._batch.supply()
         if self._on_stool:
             self._body.stand(np.ones(1, dtype=bool))
         self._body.advance(self._target, self._steps, self._instruments)

@@ -41,7 +41,7 @@ def made(tmp_path_factory) -> Path:
         Order("01", noisy, walking(0.6, SECONDS), "s1", 1, "policy", True),
     ]
     facts = Facts(robot.spec, "test", HoldSpeed((0.2, 1.5), 2.0), robot.channels(), [])
-    write_bundle(place / "bundle", orders, place / "mapping.yaml", "hts resume run", facts, hold=["Hold it."])
+    write_bundle(place / "bundle", orders, place / "mapping.yaml", "hts resume run", facts)
     return place / "bundle"
 
 
