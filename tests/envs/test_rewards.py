@@ -121,7 +121,10 @@ def test_only_feet_on_the_floor_can_slip():
 
 
 def test_standing_still_is_asked_only_of_those_commanded_to_stand():
-    assert term("stand_still", pose_error=[0.5, 0.5], command=[0.3, 0.0, 0.0]) == 0.0
+    bent = {"pose_error": [0.5, 0.5]}
+    for command in ([0.3, 0.0, 0.0], [-0.3, 0.0, 0.0], [0.0, -0.3, 0.0], [0.0, 0.0, -0.3], [0.11, 0.0, 0.0]):
+        assert term("stand_still", **bent, command=command) == 0.0
+    assert term("stand_still", **bent, command=[0.09, 0.0, 0.0]) == pytest.approx(1.0)  # below 0.1 m/s is none
 
 
 def test_falling_costs_one():

@@ -125,6 +125,9 @@ def test_a_speed_is_walked_again_where_the_command_was_wrong_and_not_where_the_p
     assert missed(mean=0.9) == [0.8]  # steadily 12 % too fast: no second counts
     assert missed(mean=0.81) == [0.8]  # each second counts, the means are apart
     assert missed(noise=0.4) == []  # right on average, in few of its seconds
+    assert missed(mean=0.837, noise=0.4) == []  # 4.6 % off, where a second may be 10 % off: half of that is near
+    assert missed(mean=0.763, noise=0.4) == []
+    assert missed(mean=0.843, noise=0.4) == missed(mean=0.757, noise=0.4) == [0.8]  # 5.4 % off
     saturated = {role: held(1.2, saturated=True)}
     assert missed(mean=0.7, notes=saturated) == []  # trimming longer does not help
 

@@ -59,6 +59,12 @@ def test_who_was_not_measured_yet_is_neither_out_nor_does_it_end_the_race(missin
     assert anytime.still_racing(table, [0, 1, 2], 0.02, 0.1) == [0, 1, 2]
 
 
+def test_who_was_not_measured_yet_does_not_lead_a_race_by_t_tests_either():
+    table = np.array([[5.0, 5.1, 4.9, 5.0], [4.0, 4.1, 4.0, 3.9], [NAN] * 4])
+    assert racing.still_racing(table, [0, 1, 2], 0.02, 0.1) == [0, 2]
+    assert racing.still_racing(table, [0, 1], 0.02, 0.1) == [0]
+
+
 def test_who_is_no_better_than_the_reference_is_out():
     worse = np.array([[-1.0, -1.1, -0.9, -1.0, -1.1, -0.9], [-0.9, -1.0, -1.1, -1.0, -0.9, -1.1]])
     assert anytime.still_racing(worse, [0, 1], 0.02, 0.0) == []

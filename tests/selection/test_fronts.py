@@ -63,6 +63,8 @@ def test_crowding_is_the_distance_of_the_neighbours_as_a_share_of_the_spread():
     # Spreads are 4 and 40. The middle point's neighbours are 4 and 40 apart: 1 + 1; (1, 30): 3/4 + 30/40.
     points = [(0, 40), (1, 30), (3, 10), (4, 0)]
     assert crowding(points) == [INF, 3 / 4 + 30 / 40, 3 / 4 + 30 / 40, INF]
+    savings = [(x / 100, y / 1000) for x, y in points]  # in another unit the spreads are 0.04 and 0.04
+    assert crowding(savings) == pytest.approx(crowding(points))
 
 
 def test_a_number_in_which_all_are_equal_gives_no_room():
