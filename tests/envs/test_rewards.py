@@ -132,6 +132,14 @@ def test_falling_costs_one():
     assert float(with_fall - rewards.total(still(), rewards.DEFAULT_WEIGHTS)) == pytest.approx(-1.0)  # -50 x 0.02
 
 
+def test_of_steps_told_together_those_that_broke_alone_pay_the_price_of_a_fall():
+    steps = [still(), dataclasses.replace(still(), broken=torch.tensor([[True]])), still(fell=True)]
+    together = rewards.total(rewards.stacked(steps), rewards.DEFAULT_WEIGHTS)
+    # (2.0 + 0.75) x 0.02 s; -50 x 0.02 s and nothing else; both.
+    assert together.flatten().tolist() == pytest.approx([0.055, -1.0, -0.945])
+    assert rewards.stacked([still(), still()]).broken is None
+
+
 def test_the_total_is_not_clipped_at_zero():
     assert float(rewards.total(still(torque=[100.0, 100.0], velocity=[2.0, 0.0, 2.0]), rewards.DEFAULT_WEIGHTS)) < 0.0
 

@@ -83,6 +83,7 @@ def test_an_end_in_which_the_robot_stands_is_fitted_to_and_has_no_r2(level):
         [r.replace(channels={**r.channels, "heat": Series(r.channels["heat"].channel, heat)})], epochs=2
     )
     assert report["validation_r2"] is None and report["best_epoch"] >= 1
+    assert 0.1 < report["curve"][0]["training"] < 3.0  # a mean square: 1 is what the mean level alone leaves
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
