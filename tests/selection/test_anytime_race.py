@@ -76,6 +76,14 @@ def test_indifference_ends_a_race_of_equals():
     assert anytime.still_racing(table, [0, 1], 0.02, 0.1) == [0]
 
 
+def test_a_race_is_decided_when_nobody_can_be_better_by_what_matters():
+    # The leader is 0.5 ahead, give or take 0.2 a unit: k = (91 / 0.02^2)^(1/6) = 7.81, so the half width is
+    # sqrt(6.81 / (1 - 7.81 / 91)) x 0.2 = 0.546, and the other could be better by 0.046. The leader has 10.
+    table = np.array([[10.2, 9.8] * 3, [9.5] * 6])
+    assert anytime.still_racing(table, [0, 1], 0.02, 0.0050) == [0]
+    assert anytime.still_racing(table, [0, 1], 0.02, 0.0042) == [0, 1]
+
+
 def test_a_race_with_a_clear_winner_is_short_however_many_rounds_it_may_have():
     world = KnownRounds(savings=(0.05, 0.12, 0.04))
     for seed in range(5):

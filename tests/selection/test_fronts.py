@@ -99,6 +99,14 @@ def test_one_point_of_a_front_is_the_most_even_one():
     assert most_even(points) == 1 and spread(points, 1) == [1]
 
 
+@pytest.mark.parametrize("level", [5, 0, -INF])
+def test_a_number_that_tells_nobody_apart_does_not_decide_who_is_most_even(level):
+    points = [(0, 10, level), (60, 7, level), (100, 0, level)]
+    assert most_even(points) == 1 and spread(points, 1) == [1]
+    assert most_even([(0, 10, -INF), (60, 7, 1), (100, 0, 2)]) == 1  # a range without an end has no shares
+    assert most_even([(1, 1), (1, 1)]) == 0
+
+
 def test_the_product_of_gains_is_zero_unless_all_gain():
     assert gain_product((0.1, 3.0)) == pytest.approx(0.3)
     assert (
