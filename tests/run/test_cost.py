@@ -192,6 +192,7 @@ def test_the_baseline_collects_nothing():
 def test_a_world_that_does_not_say_how_long_a_test_takes_counts_as_the_papers():
     cost = cost_of("smoke", world="field")
     assert cost["robot_minutes"] == pytest.approx((3 * 12 + 3 * 320) / 60)
+    assert cost["real_samples"] == 50 * 36 + 2 * 16_160  # a hundredth on top of each test's 320 s: 323.2 s
 
 
 def test_charges_are_minutes_of_walking_by_the_robots_endurance():
