@@ -245,6 +245,16 @@ def test_a_candidate_that_is_refused_at_one_speed_is_refused():
     assert found.refusal["speed"] == 0.8
 
 
+def test_halves_are_in_the_order_of_time_in_whatever_order_their_blocks_come():
+    costs = (10.0, 8.0, 6.0, 10.0)  # the policy saves 0.2 and then 0.4
+    blocks = [
+        block(role, n, 0.8, 0.8, cost, held(0.8)) for n, (role, cost) in enumerate(zip(ORDER, costs, strict=True))
+    ]
+    for order in ((0, 1, 2, 3), (3, 2, 1, 0), (2, 0, 3, 1)):
+        found = halves({"cost": CostObjective()}, [blocks[n] for n in order], CONFIG)
+        assert [half["cost"].improvement for half in found] == pytest.approx([0.2, 0.4], abs=0.005)
+
+
 def test_halves_of_a_round_at_two_speeds_are_means_over_the_speeds():
     first, second = session(0.5, 0.5, 0.5, cost=9.0), session(0.8, 0.8, 0.8, cost=6.0)
     found = halves({"cost": CostObjective()}, first + second, CONFIG)
