@@ -76,9 +76,9 @@ def spread(points: Sequence[Point], count: int) -> list[int]:
 
 
 def most_even(points: Sequence[Point]) -> int:
-    """Index of the point whose worst share (see `shares`) is best."""
-    parts = shares(points)
-    return max(range(len(points)), key=lambda index: min(parts[index], default=0.0))
+    """Index of the point whose worst share (see `shares`) is best; of the numbers in which points differ."""
+    told = [column for column in zip(*shares(points), strict=True) if any(column)]  # somebody has all of it
+    return max(range(len(points)), key=lambda index: min((column[index] for column in told), default=0.0))
 
 
 def towards(points: Sequence[Point], direction: Point) -> int:

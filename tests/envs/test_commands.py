@@ -121,3 +121,12 @@ def test_commands_go_on_from_a_saved_state():
         both.advance(drawn((1, 4), vx=0.1), torch.full((1, 4), 0.2), torch.zeros(1, 4))
     for name, value in made.state_dict().items():
         assert torch.equal(value, other.state_dict()[name]), name
+
+
+def test_the_error_of_a_robot_that_walks_backwards_is_a_share_of_what_it_was_told_too():
+    made = commands(shape=(1, 4), held_from=0.3)
+    made.value[..., 0] = torch.tensor([-0.5, -0.5, 0.5, -0.2])  # the last one is too slow to tell a share
+    walked = torch.tensor([[-0.4, -0.6, 0.6, -0.1]])
+    found = made.speed_error(walked, torch.full((1, 4), 2.0))
+    torch.testing.assert_close(found, torch.tensor([[-0.2, 0.2, 0.2, 0.0]]))
+    assert not made.speed_error(walked, torch.full((1, 4), 0.9)).any()  # still getting going

@@ -85,6 +85,8 @@ def test_the_critic_sees_the_observation_without_noise_then_velocity_height_and_
     allowed = torch.cat([torch.full((part["size"],), NOISE.get(part["name"], 0.0)) for part in observation_layout(12)])
     difference = (noisy - clean).abs()
     assert (difference <= allowed + 1e-6).all() and (difference.amax((0, 1))[allowed > 0] > 0).all()
+    # Rudin et al. 2022: 0.2 rad/s, 0.05, none of the command, 0.01 rad, 1.5 rad/s, none of the last action.
+    assert allowed.tolist() == pytest.approx([0.2] * 3 + [0.05] * 3 + [0.0] * 3 + [0.01] * 12 + [1.5] * 12 + [0.0] * 12)
     rest = after["critic_observation"][..., 45:]
     torch.testing.assert_close(rest[..., :3], after["channels", "base_velocity"])
     assert torch.equal(rest[..., 4:], (after["channels", "foot_force"] > 1.0).float())
@@ -134,6 +136,29 @@ def test_velocity_is_seen_from_the_trunk(make):
     env._read_engine()
     torch.testing.assert_close(env._velocity[0, 0], torch.tensor([1.0, 0.0, 0.0]), atol=1e-6, rtol=0)
     assert float(env._yaw) == pytest.approx(math.pi / 2)
+
+
+def test_a_flight_begins_with_the_second_sample_off_the_floor_and_is_told_when_it_ends(make):
+    env = make(1, 1)
+    env.reset()
+    told = []
+    for force in (5.0, 0.0, 0.0, 0.0, 5.0, 5.0):  # N, of each foot; steps of 20 ms
+        env.engine.sensordata.view(1, 1, -1)[..., env._touch] = force
+        seen = env._read(still(env))
+        told.append((bool(seen.landed.all()), bool(seen.landed.any()), round(float(seen.air_time[0, 0, 0]), 3)))
+    # The first sample without the floor may be a lost one; 20, 40 ms in the air, then it lands after 60.
+    assert [one for one in told if one[1]] == [(True, True, 0.06)] and told.index((True, True, 0.06)) == 4
+    assert [air for _, _, air in told] == [0.02, 0.02, 0.02, 0.04, 0.06, 0.02]
+
+
+def test_a_robot_is_stood_up_towards_any_side(make):
+    env = make(1, 4)
+    env.reset()
+    env._draws = torch.full_like(env._draws, 0.5)
+    env._draws[..., env._start_draws][..., -1] = torch.tensor([0.25, 0.5, 0.75, 0.875])
+    env.start_episodes(torch.ones(1, 4, dtype=torch.bool))
+    quarter = math.pi / 2
+    assert env._yaw[0].tolist() == pytest.approx([-quarter, 0.0, quarter, 1.5 * quarter], abs=1e-5)
 
 
 # ----------------------------------------------------------------------------------------------- episodes

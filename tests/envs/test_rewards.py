@@ -121,12 +121,23 @@ def test_only_feet_on_the_floor_can_slip():
 
 
 def test_standing_still_is_asked_only_of_those_commanded_to_stand():
-    assert term("stand_still", pose_error=[0.5, 0.5], command=[0.3, 0.0, 0.0]) == 0.0
+    bent = {"pose_error": [0.5, 0.5]}
+    for command in ([0.3, 0.0, 0.0], [-0.3, 0.0, 0.0], [0.0, -0.3, 0.0], [0.0, 0.0, -0.3], [0.11, 0.0, 0.0]):
+        assert term("stand_still", **bent, command=command) == 0.0
+    assert term("stand_still", **bent, command=[0.09, 0.0, 0.0]) == pytest.approx(1.0)  # below 0.1 m/s is none
 
 
 def test_falling_costs_one():
     with_fall = rewards.total(still(fell=True), rewards.DEFAULT_WEIGHTS)
     assert float(with_fall - rewards.total(still(), rewards.DEFAULT_WEIGHTS)) == pytest.approx(-1.0)  # -50 x 0.02
+
+
+def test_of_steps_told_together_those_that_broke_alone_pay_the_price_of_a_fall():
+    steps = [still(), dataclasses.replace(still(), broken=torch.tensor([[True]])), still(fell=True)]
+    together = rewards.total(rewards.stacked(steps), rewards.DEFAULT_WEIGHTS)
+    # (2.0 + 0.75) x 0.02 s; -50 x 0.02 s and nothing else; both.
+    assert together.flatten().tolist() == pytest.approx([0.055, -1.0, -0.945])
+    assert rewards.stacked([still(), still()]).broken is None
 
 
 def test_the_total_is_not_clipped_at_zero():

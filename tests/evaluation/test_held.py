@@ -129,6 +129,12 @@ def test_a_speed_is_walked_again_where_the_command_was_wrong_and_not_where_the_p
     assert missed(mean=0.7, notes=saturated) == []  # trimming longer does not help
 
 
+@pytest.mark.parametrize(("mean", "missed"), [(0.837, []), (0.763, []), (0.843, [0.8]), (0.757, [0.8])])
+def test_who_wanders_about_a_mean_is_off_from_half_of_what_a_second_may_be(mean, missed):
+    # A second may be 10 % off; 0.037 m/s of 0.8 are 4.6 %, 0.043 are 5.4 %.
+    assert speeds_missed(CostObjective(), session(0.8, mean, 0.8, noise=0.4), CONFIG) == missed
+
+
 def test_whether_a_speed_was_missed_is_told_without_drawing_an_interval():
     class Counted(CostObjective):
         asked = 0
@@ -240,6 +246,16 @@ def test_a_candidate_that_is_refused_at_one_speed_is_refused():
     found = candidate_result("c", {"cost": CostObjective()}, recordings, CONFIG)
     assert found.tested is None and found.refused.startswith("c: Head-to-head at 0.8 m/s: the speeds are 6")
     assert found.refusal["speed"] == 0.8
+
+
+def test_halves_are_in_the_order_of_time_in_whatever_order_their_blocks_come():
+    costs = (10.0, 8.0, 6.0, 10.0)  # the policy saves 0.2 and then 0.4
+    blocks = [
+        block(role, n, 0.8, 0.8, cost, held(0.8)) for n, (role, cost) in enumerate(zip(ORDER, costs, strict=True))
+    ]
+    for order in ((0, 1, 2, 3), (3, 2, 1, 0), (2, 0, 3, 1)):
+        found = halves({"cost": CostObjective()}, [blocks[n] for n in order], CONFIG)
+        assert [half["cost"].improvement for half in found] == pytest.approx([0.2, 0.4], abs=0.005)
 
 
 def test_halves_of_a_round_at_two_speeds_are_means_over_the_speeds():

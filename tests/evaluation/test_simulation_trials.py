@@ -21,7 +21,8 @@ from hts.rl.population import Population, Sizes
 
 
 class Treadmill(EnvBase):
-    """Every world moves at its own constant speed; some fall once, at a given step. r_real is 10 x the speed."""
+    """Every world moves at its own constant speed; some fall once, at a given step. r_real is 10 x the speed,
+    and the task's own reward 3 x the speed, both per second."""
 
     def __init__(self, speeds: list[list[float]], falls: dict[tuple[int, int], int] | None = None):
         self.speeds = torch.tensor(speeds)
@@ -67,7 +68,8 @@ class Treadmill(EnvBase):
         fell = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
         for world, step in self.falls.items():
             fell[world] = self.clock == step
-        return self._write(fell, reward=torch.zeros(*self.batch_size, 1))
+        result = self._write(fell)
+        return result.set("reward", 3 * self.dt * result["channels", "base_velocity"][..., :1])
 
 
 def judge(speeds, falls=None, commanded=(0.5, 1.0), seconds=4.0):
@@ -142,9 +144,15 @@ def test_a_world_that_fell_counts_as_a_fall_and_not_in_the_means():
     assert row[0].mean_speed == pytest.approx(0.5) and row[0].rewards["fast"] == pytest.approx(5.0)
 
 
+def test_the_tasks_own_reward_is_per_second_and_the_mean_of_those_that_stood():
+    row = judge([[0.5, 1.0, 0.7, 1.0, 5.0, 1.0]], falls={(0, 4): 30})[0]
+    assert row[0].task_reward == pytest.approx(3 * (0.5 + 0.7) / 2) and row[1].task_reward == pytest.approx(3.0)
+
+
 def test_where_all_fell_there_is_no_speed_and_the_worst_reward():
     row = judge([[0.5, 1.0]], falls={(0, 0): 150})[0]
     assert row[0].falls == 1 and math.isnan(row[0].mean_speed) and row[0].rewards["fast"] == -math.inf
+    assert math.isnan(row[0].task_reward) and math.isnan(row[0].commanded) and row[0].valid == 1.0
 
 
 def test_candidates_are_judged_apart():

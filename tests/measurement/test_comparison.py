@@ -254,6 +254,8 @@ def test_folds_of_the_training_are_policies_recordings_or_stretches():
     assert sizes(*"aabbc") == [["a", "a"], ["b", "b"], ["c"]]
     assert sizes(*"aaaa") == [["a", "a"], ["a"], ["a"]]
     assert sizes("a") == [["a", "a"]] * 3  # two stretches of it each
+    parts = [[one.num_samples for one in fold] for fold in comparison.training_folds([known_heat(0, "a", seconds=6.0)])]
+    assert parts == [[50, 50]] * 3  # a second each, and no sample of the 300 is lost
 
 
 # -------------------------------------------------------------------------------------------------------- on screen

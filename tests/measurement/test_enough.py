@@ -72,6 +72,16 @@ def test_joints_that_all_follow_one_phase_ask_for_exploration(plenty):
     assert any(line.startswith("record with exploration noise") for line in found.missing)
 
 
+def test_inputs_that_move_each_for_itself_are_as_many_directions_whatever_their_units(plenty):
+    rng, free = np.random.default_rng(0), []
+    for one in plenty:
+        series = {name: rng.standard_normal((one.num_samples, 3)) * [1.0, 10.0, 1000.0] for name in ("effort", "rate")}
+        channels = {name: Series(one.channels[name].channel, values) for name, values in series.items()}
+        free.append(one.replace(channels={**one.channels, **channels}))
+    found = enough(KnownHeat(), free)  # each input has a sixth of the variance: five of them are 83 %
+    assert (found.directions, found.inputs) == (6, 6)
+
+
 def test_a_gauge_that_shows_something_else_is_not_trusted(plenty):
     random = np.random.default_rng(0)
     noise = [

@@ -8,6 +8,7 @@ import torch
 from hts.channels import Channel
 from hts.contracts import Signals
 from hts.measurement.lstm import LSTM, LSTMSettings, worlds_last
+from hts.measurement.lstm_fit import _search
 from hts.recordings.recording import Series
 from hts.testing.known_signals import known_heat
 
@@ -82,6 +83,7 @@ def test_an_end_in_which_the_robot_stands_is_fitted_to_and_has_no_r2(level):
         [r.replace(channels={**r.channels, "heat": Series(r.channels["heat"].channel, heat)})], epochs=2
     )
     assert report["validation_r2"] is None and report["best_epoch"] >= 1
+    assert 0.1 < report["curve"][0]["training"] < 3.0  # a mean square: 1 is what the mean level alone leaves
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -108,3 +110,36 @@ def test_what_begins_anew_is_empty_and_the_other_worlds_keep_their_bits():
     after = model.reset(state, torch.tensor([False, True, False, False, False]))
     assert torch.equal(after[1], model.initial_state(1)[0])
     assert torch.equal(after[[0, 2, 3, 4]], state[[0, 2, 3, 4]])
+
+
+class Told:
+    """Passes over nothing whose errors are told; the model's weight is the number of the last pass."""
+
+    validation = None
+
+    def __init__(self, *errors: float) -> None:
+        self.model, self.errors, self.count = torch.nn.Linear(1, 1, bias=False), errors, 0
+
+    def epoch(self) -> float:
+        self.count += 1
+        with torch.no_grad():
+            self.model.weight.fill_(float(self.count))
+        return self.errors[self.count - 1]
+
+
+@pytest.mark.parametrize(
+    ("epochs", "patience", "until", "passes", "stopped", "best"),
+    [
+        (20, 3, math.inf, 6, "patience", 3),  # the third was the best, and three after it are not better
+        (20, 4, math.inf, 8, "epochs", 7),  # the seventh comes before it is out of patience
+        (5, 9, math.inf, 5, "epochs", 3),
+        (20, 9, -math.inf, 1, "time", 1),
+    ],
+)
+def test_a_fit_ends_when_nothing_got_better_for_so_long_and_keeps_the_best(
+    epochs, patience, until, passes, stopped, best
+):
+    told = Told(5.0, 4.0, 2.0, 2.5, 2.0, 2.2, 1.0, 1.5)
+    found = _search(told, min(epochs, 8), patience, until, None)
+    assert (len(found.curve), found.stopped, found.best_epoch) == (passes, stopped, best)
+    assert float(found.best["weight"]) == best and found.best_error == told.errors[best - 1]

@@ -111,3 +111,45 @@ def test_gains_that_do_not_explain_the_torque_tell_nothing(walk):
     log, _, _ = walk
     assert between_samples(dataclasses.replace(log, kp=tuple(4 * kp for kp in log.kp)), 4, 0) is None
     assert between_samples(dataclasses.replace(log, kp=log.kp[:3], kd=log.kd[:3]), 4, 0) is None
+
+
+def cubed() -> Recording:
+    """A joint at t^3 rad, sampled twice a second, whose torque reads 0.8 of 2 (q* - q) - 0.1 q'."""
+    channels = {
+        "joint_position": ("rad", [0.0, 0.125, 1.0, 3.375]),
+        "joint_velocity": ("rad/s", [0.0, 0.75, 3.0, 6.75]),
+        "joint_target": ("rad", [4.0, 4.0, 6.0, 6.0]),
+        # q* before: 4, 4, 4, 6. 8, 7.75 - 0.075, 6 - 0.3, 5.25 - 0.675; 0.8 of each.
+        "joint_torque": ("N*m", [6.4, 6.14, 4.56, 3.66]),
+    }
+    return Recording(
+        robot="one",
+        world="made up",
+        policy_hash="",
+        iteration=0,
+        joint_names=("a",),
+        kp=(2.0,),
+        kd=(0.1,),
+        rate_hz=2.0,
+        schedule=ScheduleConfig(commands=[{"seconds": 2.0, "vx": 0.0}]),
+        idle={},
+        clock="simulated",
+        time=np.arange(4) / 2,
+        channels={
+            name: Series(Channel(name, unit, (1,)), np.array(values)[:, None])
+            for name, (unit, values) in channels.items()
+        },
+    )
+
+
+def test_a_joint_that_moves_as_a_cubic_is_where_the_cubic_is_between_samples():
+    assert torque_scale(cubed()) == pytest.approx(0.8)
+    torque, speed = (found[..., 0] for found in between_samples(cubed(), 2, late=0))
+    # From 0.5 to 1 s: at 0.125 rad with 0.75 rad/s, and at 0.75^3 = 0.421875 rad with the line's 1.875 rad/s.
+    assert torque[2] == pytest.approx([0.8 * (2 * 3.875 - 0.075), 0.8 * (2 * 3.578125 - 0.1875)])
+    assert speed[2] == pytest.approx([1.3125, 2.4375])  # a quarter and three quarters of the way from 0.75 to 3
+    # From 1 to 1.5 s the target is 6 from the beginning on; half a step late the one before, 4, holds first.
+    assert torque[3] == pytest.approx([0.8 * (2 * 5 - 0.3), 0.8 * (2 * (6 - 1.25**3) - 0.4875)])
+    late = between_samples(cubed(), 2, late=1)[0][..., 0]
+    assert late[3] == pytest.approx([0.8 * (2 * 3 - 0.3), torque[3, 1]])
+    np.testing.assert_array_equal(torque[0], torque[1])

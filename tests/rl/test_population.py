@@ -91,6 +91,16 @@ def test_the_normaliser_holds_mean_and_standard_deviation_of_all_it_was_shown():
     assert population.observation_count.tolist() == [400.0, 400.0]
 
 
+def test_a_normaliser_that_has_seen_very_much_still_follows_what_it_is_shown():
+    population = Population(Sizes(1, 1, 1, (2,)), 1)
+    population.observation_count.fill_(1e8)
+    for _ in range(2):
+        population.update_normaliser("observation", torch.full((1, 100, 1), 1e6))
+    # 100 in 100,000,100 samples are a millionth, of 1e6 so 1 each time: the count stays 1e8, however many come.
+    assert population.observation_count.tolist() == [1e8]
+    assert float(population.observation_mean) == pytest.approx(2.0, rel=1e-4)
+
+
 def test_an_anchor_stays_while_its_population_moves():
     population = Population(SIZES, 2)
     anchor, x = population.frozen(), torch.randn(2, 3, 5)
@@ -120,6 +130,7 @@ def test_candidates_survive_the_way_out_and_in():
     for index in range(3):
         one, two = population.candidate(index), again.candidate(index)
         assert one.keys() == two.keys() and all(torch.equal(one[name], two[name]) for name in one)
+        assert not any(value.requires_grad for value in one.values())
 
 
 def test_a_candidates_random_numbers_depend_on_its_seed_alone():

@@ -136,6 +136,14 @@ def test_a_float_is_the_bound_of_each_candidate_and_not_of_their_mean(bound, ins
     assert loss(data).shape == (2,) and loss.kl_bound.tolist() == pytest.approx([float(bound)] * 2)
 
 
+def test_a_float_of_one_candidate_stays_a_float_and_its_losses_scalars():
+    population = Population(SIZES, 1)
+    loss = KLConstrainedPPOLoss(PopulationActor(population), PopulationCritic(population), kl_bound=0.05)
+    assert (loss.kl_bound.shape, loss.kl_to_reference(batch(1, 5)).shape, loss(batch(1, 5)).shape) == ((), (), ())
+    loss = KLConstrainedPPOLoss(PopulationActor(population), PopulationCritic(population), kl_bound=torch.ones(1))
+    assert loss(batch(1, 5)).shape == loss.kl_to_reference(batch(1, 5)).shape == (1,)
+
+
 def test_bounds_and_a_reference_of_other_candidates_are_told_when_a_loss_is_made():
     population, three = Population(SIZES, 2), PopulationActor(Population(SIZES, 3))
     actor, critic = PopulationActor(population), PopulationCritic(population)

@@ -96,3 +96,11 @@ def test_no_value_is_looked_at_where_that_would_wait_for_a_gpu():
     loss, data = loss_and_batch(normalize_advantage=True)
     data["collector", "mask"] = torch.arange(STATES) < 5
     assert loss.to("meta")(data.to("meta"))["loss_objective"].is_meta  # a device on which asking for a value raises
+
+
+def test_one_number_in_a_batch_without_a_size_is_none_that_agents_share_of_a_state():
+    loss, data = loss_and_batch()
+    data.batch_size = []
+    data["advantage"] = torch.ones(1)
+    with pytest.raises(ValueError, match=r"'advantage' has the shape \(1,\), the actor's log-probabilities \(8, 3\)"):
+        loss(data)

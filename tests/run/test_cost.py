@@ -119,6 +119,24 @@ def test_a_cap_holds_for_what_is_walked_again_too():
     cost = cost_of("quick", "max_real_samples=96000", world="field")
     assert cost["real_samples"] <= cost["real_samples_most"] == 96_000
     assert "up to 1 for second trials, if the cap leaves room for them (selection.confirm)" in cost["beside"]
+    # four trials and second ones of the best two
+    assert cost["tested on the robot"] == 4 and "up to 6 for trials that did not find their commands" in cost["beside"]
+
+
+def test_second_trials_are_walked_at_least_and_at_most():
+    cost = cost_of("smoke", "selection.confirm=2", "selection.speeds=[0.5, 0.8]", "evaluation.finals=1", world="field")
+    # 3 recordings of 12 s, two trials and two second ones of 320 s at each of two speeds, a final at one
+    assert cost["robot_minutes"] == cost["robot_minutes_most"] == pytest.approx((36 + 4 * 640 + 320) / 60)
+
+
+def test_the_best_so_far_of_each_iteration_may_be_walked_again_too():
+    held = ("evaluation.hold_speed=true", "evaluation.trims_again=1", "selection.trims_again=0", "evaluation.finals=1")
+    cost = cost_of("smoke", "iterations=3", "evaluation.each_iteration=true", *held, world="field")
+    # 6 trials and a final trim 12 s each of both and walk 320 s; the final at equal commands
+    least = 36 + 7 * 344 + 320
+    # again, trimmed for 24 s each: the final; and the best of two iterations, measured once and again
+    assert cost["robot_minutes"] == pytest.approx(least / 60)
+    assert cost["robot_minutes_most"] == pytest.approx((least + 368 + 2 * (344 + 368)) / 60)
 
 
 @pytest.mark.parametrize("hold", [False, True], ids=["not held", "held"])
@@ -174,15 +192,12 @@ def test_the_baseline_collects_nothing():
 def test_a_world_that_does_not_say_how_long_a_test_takes_counts_as_the_papers():
     cost = cost_of("smoke", world="field")
     assert cost["robot_minutes"] == pytest.approx((3 * 12 + 3 * 320) / 60)
+    assert cost["real_samples"] == 50 * 36 + 2 * 16_160  # a hundredth on top of each test's 320 s: 323.2 s
 
 
 def test_charges_are_minutes_of_walking_by_the_robots_endurance():
-    robot = load().make_robot("go1")
-    cost = cost_of("smoke")
-    if robot.spec.endurance_minutes is None:
-        assert cost["charges"] is None
-    else:
-        assert cost["charges"] == pytest.approx(cost["robot_minutes"] / robot.spec.endurance_minutes)
+    cost = cost_of("smoke")  # 111 s of walking; a charge lasts an hour
+    assert cost["charges"] == pytest.approx(111 / 3600)
 
 
 def test_the_time_is_that_of_the_measured_speed():

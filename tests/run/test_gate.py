@@ -190,8 +190,13 @@ def test_only_what_channels_and_limits_allow_can_be_told():
     assert told_by(log_only(*CHANNELS)) == CHECKS
     assert told_by(log_only("joint_torque")) == ("falls", "torque")
     assert untold_by(log_only("joint_torque")) == ("joint_range", "tilt", "action_rate")
-    endless = dataclasses.replace(SPEC, torque_limit=(math.inf, 1.0))
-    assert "torque" in untold_by(LogOnlyRobot(endless, CHANNELS.values()))
+    for check, limits in (
+        ("torque", {"torque_limit": (math.inf, 1.0)}),
+        ("torque", {"torque_limit": (0.0, 1.0)}),
+        ("joint_range", {"position_limit": ((-1.0, 1.0), (0.0, 0.0))}),
+        ("action_rate", {"velocity_limit": (math.inf, 1.0)}),
+    ):
+        assert untold_by(LogOnlyRobot(dataclasses.replace(SPEC, **limits), CHANNELS.values())) == (check,)
 
 
 def test_a_machine_whose_env_cannot_tell_needs_a_persons_word():

@@ -59,6 +59,12 @@ def test_who_was_not_measured_yet_is_neither_out_nor_does_it_end_the_race(missin
     assert anytime.still_racing(table, [0, 1, 2], 0.02, 0.1) == [0, 1, 2]
 
 
+def test_who_was_not_measured_yet_does_not_lead_a_race_by_t_tests_either():
+    table = np.array([[5.0, 5.1, 4.9, 5.0], [4.0, 4.1, 4.0, 3.9], [NAN] * 4])
+    assert racing.still_racing(table, [0, 1, 2], 0.02, 0.1) == [0, 2]
+    assert racing.still_racing(table, [0, 1], 0.02, 0.1) == [0]
+
+
 def test_who_is_no_better_than_the_reference_is_out():
     worse = np.array([[-1.0, -1.1, -0.9, -1.0, -1.1, -0.9], [-0.9, -1.0, -1.1, -1.0, -0.9, -1.1]])
     assert anytime.still_racing(worse, [0, 1], 0.02, 0.0) == []
@@ -68,6 +74,14 @@ def test_indifference_ends_a_race_of_equals():
     table = np.array([[10.0, 10.1, 9.9, 10.0, 10.1, 9.9], [10.0, 10.0, 10.0, 10.1, 9.9, 10.0]])
     assert anytime.still_racing(table, [0, 1], 0.02, 0.0) == [0, 1]
     assert anytime.still_racing(table, [0, 1], 0.02, 0.1) == [0]
+
+
+def test_a_race_is_decided_when_nobody_can_be_better_by_what_matters():
+    # The leader is 0.5 ahead, give or take 0.2 a unit: k = (91 / 0.02^2)^(1/6) = 7.81, so the half width is
+    # sqrt(6.81 / (1 - 7.81 / 91)) x 0.2 = 0.546, and the other could be better by 0.046. The leader has 10.
+    table = np.array([[10.2, 9.8] * 3, [9.5] * 6])
+    assert anytime.still_racing(table, [0, 1], 0.02, 0.0050) == [0]
+    assert anytime.still_racing(table, [0, 1], 0.02, 0.0042) == [0, 1]
 
 
 def test_a_race_with_a_clear_winner_is_short_however_many_rounds_it_may_have():

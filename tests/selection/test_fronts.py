@@ -63,6 +63,8 @@ def test_crowding_is_the_distance_of_the_neighbours_as_a_share_of_the_spread():
     # Spreads are 4 and 40. The middle point's neighbours are 4 and 40 apart: 1 + 1; (1, 30): 3/4 + 30/40.
     points = [(0, 40), (1, 30), (3, 10), (4, 0)]
     assert crowding(points) == [INF, 3 / 4 + 30 / 40, 3 / 4 + 30 / 40, INF]
+    savings = [(x / 100, y / 1000) for x, y in points]  # in another unit the spreads are 0.04 and 0.04
+    assert crowding(savings) == pytest.approx(crowding(points))
 
 
 def test_a_number_in_which_all_are_equal_gives_no_room():
@@ -95,6 +97,14 @@ def test_one_point_of_a_front_is_the_most_even_one():
     # Shares of the spread: (0, 1), (0.6, 0.7), (1, 0): worst are 0, 0.6, 0.
     points = [(0, 10), (60, 7), (100, 0)]
     assert most_even(points) == 1 and spread(points, 1) == [1]
+
+
+@pytest.mark.parametrize("level", [5, 0, -INF])
+def test_a_number_that_tells_nobody_apart_does_not_decide_who_is_most_even(level):
+    points = [(0, 10, level), (60, 7, level), (100, 0, level)]
+    assert most_even(points) == 1 and spread(points, 1) == [1]
+    assert most_even([(0, 10, -INF), (60, 7, 1), (100, 0, 2)]) == 1  # a range without an end has no shares
+    assert most_even([(1, 1), (1, 1)]) == 0
 
 
 def test_the_product_of_gains_is_zero_unless_all_gain():

@@ -335,6 +335,25 @@ def test_before_anything_has_passed_the_exact_reading_is_that_of_idling():
     assert found["battery_current"] * found["battery_voltage"] == pytest.approx(gauge().p.idle_power)
 
 
+def test_the_truth_is_the_mean_net_power_since_it_was_last_asked():
+    made = gauge()
+
+    def lost() -> float:
+        return float(sum(made.energy[name][0] for name in ("copper", "iron", "inverter")))
+
+    drive(made, [3.0, 1.0], [4.0, -2.0], 1.0)  # 10 W for 1 s
+    first = lost()
+    assert made.truth()["battery_current"] == pytest.approx(10.0 + first)
+    drive(made, [3.0, 1.0], [8.0, -4.0], 0.5)  # 20 W for 0.5 s
+    assert made.truth()["battery_current"] == pytest.approx(20.0 + (lost() - first) / 0.5)
+
+
+def test_the_supply_is_the_packs_voltage_over_the_rated_one():
+    made = gauge(cells=6, cell_noise=0.0)
+    assert made.supply() == pytest.approx(made.read()["battery_voltage"] / 22.2, abs=1e-3)  # 6 cells of 3.7 V
+    assert gauge(state_of_charge=1.0).supply() == pytest.approx(4.103 / 3.7, abs=0.02)  # what a full cell has
+
+
 def test_a_gauge_that_filters_nothing_imports_no_scipy():
     code = "import sys, hts_power.gauge; sys.exit(any(name.partition('.')[0] == 'scipy' for name in sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

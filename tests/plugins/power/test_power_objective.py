@@ -68,6 +68,20 @@ def test_cost_of_transport_is_net_energy_per_metre_and_newton():
     assert score["cost_of_transport"] == pytest.approx([70.0 / (10.0 * 9.81 * 0.75)] * 2)
 
 
+def test_the_voltage_that_goes_with_a_current_is_on_the_line_through_the_means_of_whole_seconds():
+    def log(current, voltage) -> Recording:
+        series = {"battery_current": ("A", current), "battery_voltage": ("V", voltage)}
+        channels = {name: Series(Channel(name, unit), np.array(values)) for name, (unit, values) in series.items()}
+        return replace(recording(1.0, 1.0, 0.8), rate_hz=2.0, time=np.arange(len(current)) / 2, channels=channels)
+
+    # Seconds of 2 A at 24 V and 2.5 A at 23.95 V, and half a second more; another recording of 3 A at 23.9 V.
+    known = [log([1.0, 3.0, 2.5, 2.5, 90.0], [24.0, 24.0, 24.05, 23.85, 1.0]), log([3.0, 3.0], [23.8, 24.0])]
+    found = Power().predicted_channels(np.array([2.0, 5.0]), known)
+    assert found["battery_current"].tolist() == [2.0, 5.0]
+    assert found["battery_voltage"] == pytest.approx([24.0, 23.7])  # 0.1 V less for each ampere
+    assert Power().predicted_channels(np.array([9.0]), known[1:])["battery_voltage"] == pytest.approx([23.9])
+
+
 def head_to_head(policy: float, reference: float, idle: float, scatter: float = 0.0) -> HeadToHead:
     """A-B-B-A at mean powers, W; scatter: standard deviation from second to second, W."""
     rng = np.random.default_rng(0)
