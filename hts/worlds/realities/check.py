@@ -66,8 +66,8 @@ def check(
     policy: Path,
 ) -> Verdict:
     """The verdict on a twin. policy: exported (ONNX); instruments: all that simulate a part of the machine."""
-    facts = [fact for instrument in instruments.values() for fact in instrument.facts()]
-    speeds = sorted({*EvaluationConfig().speeds, *(fact.speed for fact in facts if fact.speed > 0)})
+    facts = _facts(instruments)
+    speeds = _speeds(facts)
     measured: tuple[Measured, ...] = ()
     try:
         if any(fact.speed == 0 for fact in facts):
@@ -91,6 +91,22 @@ def check(
     except (HtsError, FloatingPointError) as error:  # such as motors that warm up without end
         return Verdict(measured, str(error))
     return Verdict((*measured, *seen), "")
+
+
+def fallen_at(
+    robot: Robot, instruments: Mapping[str, Instrument], policy: Path
+) -> tuple[Sequence[float], Sequence[float]]:
+    """The speeds at which draws have to walk, m/s, and those of them at which the default twin falls in a glance."""
+    speeds = _speeds(_facts(instruments))
+    return speeds, walked(robot, TwinSettings(), {}, [], str(policy), speeds, GLANCE)[1]
+
+
+def _facts(instruments: Mapping[str, Instrument]) -> list[Fact]:
+    return [fact for instrument in instruments.values() for fact in instrument.facts()]
+
+
+def _speeds(facts: Sequence[Fact]) -> list[float]:
+    return sorted({*EvaluationConfig().speeds, *(fact.speed for fact in facts if fact.speed > 0)})
 
 
 def _measured(facts: Sequence[Fact], values: Mapping[str, float]) -> tuple[Measured, ...]:
