@@ -10,9 +10,8 @@ import numpy as np
 
 from hts.contracts import Instrument, PhysicsSample
 from hts.plugins import Entry, Registry
-from hts.testing.checks.ensure import ensure, listed, same
+from hts.testing.checks.ensure import after, ensure, listed, same
 from hts.testing.checks.made_up import WORLDS, arrays, physics, rest, sim_channels
-from hts.testing.checks.model_fits import after
 from hts.testing.examples.robot.robot import Tiny
 
 STEPS = 60  # of 1 ms: three control steps

@@ -15,7 +15,7 @@ from hts.errors import HtsError, PolicyError
 from hts.plugins import Entry, Registry
 from hts.recordings.recording import Series
 from hts.testing.checks import model_fits
-from hts.testing.checks.ensure import ensure
+from hts.testing.checks.ensure import Check, after, ensure
 from hts.testing.checks.fitted_models import (
     STEPS,
     WORLDS,
@@ -28,7 +28,7 @@ from hts.testing.checks.fitted_models import (
     step_by_step,
     with_series,
 )
-from hts.testing.checks.model_fits import Check, after, is_made_unfitted
+from hts.testing.checks.model_fits import is_made_unfitted
 
 if TYPE_CHECKING:
     import torch
