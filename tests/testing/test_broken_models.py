@@ -152,6 +152,15 @@ GAIN = """
             return Prediction(self.gain * super()._read(averages).mean)
 """
 
+COUNTED = """
+        asked = 0
+
+        def step(self, inputs, state):
+            self.asked += 1
+            prediction, state = super().step(inputs, state)
+            return Prediction(prediction.mean + 0.1 * self.asked), state
+"""
+
 NETWORK = """
         def __init__(self, config, signals):
             TorchModel.__init__(self, signals, config.products)
@@ -301,6 +310,11 @@ OTHER_UNIT = "signals = replace(signals, target=Channel(signals.target.name, 'V'
         (step(before="inputs = inputs.nan_to_num()"), "of an input that is nan"),
         ({"body": SATURATED}, "of an input that is inf"),
         (step(before="state += 0.01"), "changes its state in place"),
+        (
+            step(after="prediction = Prediction(prediction.mean + torch.randn(prediction.mean.shape))"),
+            "step predicts something else of the same inputs and state",
+        ),
+        ({"body": COUNTED}, "step predicts something else of the same inputs and state"),
         (step(before="inputs = inputs / max(1.0, float(inputs.abs().max()) / 1e6)"), "looks at a value"),
         (
             {"body": "        def reset(self, state, begun):\n            return self.initial_state(len(begun))"},

@@ -15,7 +15,7 @@ from hts.errors import HtsError, PolicyError
 from hts.plugins import Entry, Registry
 from hts.recordings.recording import Series
 from hts.testing.checks import model_fits
-from hts.testing.checks.ensure import Check, after, ensure
+from hts.testing.checks.ensure import Check, after, ensure, same
 from hts.testing.checks.fitted_models import (
     STEPS,
     WORLDS,
@@ -53,7 +53,8 @@ def _pair(what: str, found: Any) -> tuple[Prediction, torch.Tensor]:
 
 @after(is_made_unfitted)
 def predicts_for_each_world(entry: Entry, registry: Registry) -> None:
-    """step and sequence give a finite float32 each, a deviation of at least 0 or none; state leads with worlds."""
+    """step and sequence give a finite float32 each, a deviation of at least 0 or none, the same of the same;
+    state leads with worlds."""
     import torch
 
     model = fitted_model(entry, registry)
@@ -72,6 +73,12 @@ def predicts_for_each_world(entry: Entry, registry: Registry) -> None:
     ensure(wanted[:1] == (WORLDS,), f"initial_state({WORLDS}) has shape {wanted}: worlds do not lead")
     for what, state in (("step", after), ("sequence", last)):
         ensure(tuple(state.shape) == wanted, f"{what}: the state has shape {tuple(state.shape)}, not {wanted}")
+    again, left = model.step(data[0], model.initial_state(WORLDS))
+    ensure(
+        same(again.mean, found.mean) and same(left, after),
+        "step predicts something else of the same inputs and state: it draws random numbers, or keeps a memory outside "
+        "the state",
+    )
 
 
 @after(is_made_unfitted, predicts_for_each_world)
