@@ -342,6 +342,11 @@ def test_a_faulty_model_is_named_with_its_fault(install, broken, fault):
     assert all("\n" not in line for line in found)
 
 
+def test_a_step_that_gives_no_pair_is_one_line(install):
+    (line,) = faults(install, body=AROUND.format(method="step", before="pass", after="return prediction"))
+    assert "step gives a Prediction, expected hts.contracts.Prediction and the state" in line
+
+
 @pytest.mark.parametrize(
     ("given", "fault"),
     [

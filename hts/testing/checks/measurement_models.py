@@ -262,7 +262,7 @@ def changes_nothing(entry: Entry, registry: Registry) -> None:
     ensure(bool(torch.equal(state, before)), "changes its state in place")
 
 
-@after(is_made_unfitted)
+@after(is_made_unfitted, predicts_for_each_world)
 def is_saved_and_loaded(entry: Entry, registry: Registry) -> None:
     """Its file gives the same model back, to the bit, by its name and settings: all that was fitted is in `tensors`."""
     import torch
