@@ -56,6 +56,7 @@ NEEDED: tuple[Check, ...] = (
     robots.channels_are_standard,
     worlds.costs_nothing_yet,
     rewards.gives_one_number_per_world,
+    instruments.reads_its_channels,
     model_fits.can_be_fitted,
 )
 """Where one of these is not kept, the checks after it are not tried: they would only say the same in other words."""

@@ -19,6 +19,7 @@ from hts.errors import ConfigError, HtsError, PluginError, UnfitWorldError
 from hts.recordings.recording import Recording
 from hts.worlds.base import request_id, seed_sequence, walking
 from hts.worlds.realities.quick import standing_values
+from hts.worlds.realities.read_off import read_off
 from hts.worlds.twin.model import build
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.programme import Block, Session, warm_up
@@ -178,4 +179,4 @@ def _recorded(
 def _value(fact: Fact, sessions: Sequence[Sequence[Recording]]) -> float:
     """Mean over the sessions, of what was recorded last in each."""
     last = [recordings[-1] for recordings in sessions]
-    return float(np.mean([fact.reading({name: one.values(name) for name in one.channels}, one.idle) for one in last]))
+    return float(np.mean([read_off(fact, {name: one.values(name) for name in one.channels}, one.idle) for one in last]))

@@ -32,6 +32,7 @@ from hts.errors import RecordingError
 from hts.quantiles import student_quantile
 from hts.recordings.on_schedule import samples_at
 from hts.recordings.recording import Recording
+from hts.worlds.realities.read_off import read_off
 from hts.worlds.twin.reality import Measured
 
 if TYPE_CHECKING:
@@ -158,7 +159,7 @@ def _idle(
     for name, reading in _readings(instruments):
         if reading.idle:
             there = [one for one in recordings if all(channel in one.idle for channel in reading.channels)]
-            values = sorted({reading.reading({}, one.idle) for one in there})
+            values = sorted({read_off(reading, {}, one.idle) for one in there})
             if values:
                 yield _figure(reading.name, name, reading, (0.0, 0.0), values, discrepancy)
 
@@ -183,7 +184,7 @@ def _values(instrument: str, reading: Reading, stretches: Sequence[Stretch]) -> 
     for one in stretches:
         if needed <= set(one.recording.channels) and (not instrument or needed <= set(one.recording.idle)):
             rows = {name: one.recording.values(name)[one.rows] for name in needed}
-            values.append(reading.reading(rows, one.recording.idle))
+            values.append(read_off(reading, rows, one.recording.idle))
     return values
 
 
@@ -268,7 +269,7 @@ def idle_measured(figures: Sequence[Figure], instruments: Mapping[str, Instrumen
     known = {(name, one.name): one for name, one in _readings(instruments)}
     for one in figures:
         if one.idle and (one.instrument, one.reading) in known:
-            value = known[one.instrument, one.reading].reading({}, levels)
+            value = read_off(known[one.instrument, one.reading], {}, levels)
             found.append(Measured(name=one.name, value=value, low=one.low, high=one.high, unit=one.unit))
     return found
 
