@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral
 
 from hts import units
 from hts.errors import RecordingError
@@ -16,7 +17,7 @@ class Channel:
     for a scalar; description: for the reader of a table; may_be_constant: for quantities that may honestly stand still
     during a recording, such as a temperature or a state of charge.
 
-    Raises RecordingError for a unit that nobody knows.
+    Raises RecordingError for a unit that nobody knows, and for a shape that is no tuple of whole numbers.
     """
 
     name: str
@@ -28,6 +29,12 @@ class Channel:
     def __post_init__(self) -> None:
         if not units.known(self.unit):
             raise RecordingError(f"Channel '{self.name}': {units.unknown(self.unit)}")
+        sizes = self.shape if isinstance(self.shape, tuple) else (None,)
+        if not all(isinstance(size, Integral) and size >= 0 for size in sizes):
+            raise RecordingError(
+                f"Channel '{self.name}': shape is {self.shape!r}, expected a tuple of whole numbers: () where a "
+                "sample is one number, (12,) where it is twelve."
+            )
 
 
 SPEED_ERROR = Channel(

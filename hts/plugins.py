@@ -135,15 +135,17 @@ class Registry:
         """Everything of one kind by name; kind is one of KINDS."""
         return vars(self)[kind]
 
+    def not_loaded(self) -> str:
+        """What to add to a line about a name that nobody knows, where a package could not be loaded; else empty."""
+        packages = ", ".join(sorted({broken.package for broken in self.broken}))
+        return f" Could not be loaded: {packages}; `hts plugins` says why." if packages else ""
+
     def entry(self, kind: str, name: str) -> Entry:
         """The entry of that name; kind is one of KINDS. Raises ConfigError with the closest name."""
         entries = self.offered(kind)
         if name not in entries:
-            message = unknown_name(KINDS[kind], name, entries)
-            if self.broken:
-                packages = ", ".join(sorted({broken.package for broken in self.broken}))
-                message += f" Could not be loaded: {packages}; `hts plugins` says why."
-            elif not entries:
+            message = unknown_name(KINDS[kind], name, entries) + self.not_loaded()
+            if not entries and not self.broken:
                 message += " Install the package that brings it; `hts plugins` lists what is there."
             raise ConfigError(message)
         return entries[name]
@@ -189,6 +191,11 @@ def _offers(point: importlib.metadata.EntryPoint, package: str) -> list[tuple[st
     """Import one plugin and ask it for all it offers, as (kind, entry)."""
     with contextlib.redirect_stdout(sys.stderr):  # what hts prints may be read by a program
         module = point.load()
+    if not isinstance(module, ModuleType):
+        raise PluginError(
+            f"names '{point.attr}' in {point.module}, expected the module alone, whose hooks are asked: "
+            f'{point.name} = "{point.module}" in pyproject.toml, then install the package again'
+        )
     written_for = vars(module).get("HTS_API")
     if written_for is None:
         raise PluginError(
@@ -212,11 +219,11 @@ def _offers(point: importlib.metadata.EntryPoint, package: str) -> list[tuple[st
 
         def register(
             name: str,
-            factory: Callable[..., Any],
+            factory: Callable[..., Any] | None = None,
             presets: Mapping[str, Mapping[str, Any]] | None = None,
             kind: str = kind,
         ) -> None:
-            if not isinstance(name, str) or not name or not callable(factory):
+            if not isinstance(name, str) or not name or factory is None or not callable(factory):
                 raise PluginError(f"hts_{kind}: register({name!r}, {factory!r}) needs a name and something to call")
             offered.append((kind, Entry(name, factory, package, presets or {})))
 
@@ -239,6 +246,12 @@ def _check_hooks(manager: pluggy.PluginManager, module: ModuleType) -> None:
             )
         if marks is not None and not marks["optionalhook"] and (marks["specname"] or name) not in hooks:
             raise PluginError(f"{module.__name__}: {name}(): " + unknown_name("hook", marks["specname"] or name, hooks))
+        if marks is not None and (marks["specname"] or name) in hooks:
+            asked = [one.name for one in inspect.signature(value).parameters.values() if one.default is one.empty]
+            if asked != ["register"]:
+                raise PluginError(
+                    f"{module.__name__}: {name}({', '.join(asked)}) cannot be asked: write def {name}(register)"
+                )
 
 
 def _other_version(module: ModuleType, package: str, written_for: int) -> str:

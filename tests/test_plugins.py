@@ -163,7 +163,12 @@ def test_a_robot_and_an_objective_may_share_a_name(install):
         (HEAD + "@hookimpl\ndef hts_robot(register): pass", "No hook named 'hts_robot'. Did you mean 'hts_robots'?"),
         (HEAD + "def hts_robots(register): pass", "stranger: hts_robots() is not marked as a hook"),
         (HEAD + "@hookimpl(specname='hts_robts')\ndef mine(register): pass", "No hook named 'hts_robts'"),
-        (HEAD + "@hookimpl\ndef hts_robots(registry): pass", "registry"),
+        (HEAD + "@hookimpl\ndef hts_robots(registry): pass", "hts_robots(registry) cannot be asked: write def hts_rob"),
+        (HEAD + "@hookimpl\ndef hts_robots(): pass", "hts_robots() cannot be asked: write def hts_robots(register)"),
+        (
+            HEAD + "@hookimpl\ndef hts_robots(register): register('spot')",
+            "register('spot', None) needs a name and somet",
+        ),
         (HEAD + "@hookimpl\ndef hts_robots(register): register('spot', 'no factory')", "something to call"),
         (HEAD + "@hookimpl\ndef hts_robots(register): register('', dict)", "needs a name"),
         (offering("robots", "spot") + "    1 / 0", "ZeroDivisionError: division by zero"),
@@ -177,6 +182,13 @@ def test_a_broken_plugin_is_kept_with_its_reason_and_the_others_go_on(install, s
     assert reason in broken.reason
     assert "\n" not in broken.reason
     assert "twin" in registry.worlds
+
+
+def test_an_entry_point_that_names_more_than_a_module_is_told_so(install):
+    install("stranger", {"stranger": offering("robots", "spot")}, {"odd": "stranger:hts_robots"})
+    (broken,) = [broken for broken in load().broken if broken.package == "stranger"]
+    assert broken.reason.startswith("names 'hts_robots' in stranger, expected the module alone")
+    assert 'odd = "stranger"' in broken.reason
 
 
 def test_what_a_plugin_prints_on_import_is_not_among_what_a_command_prints(install, capsys):

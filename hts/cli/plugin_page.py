@@ -33,7 +33,7 @@ def plugin_data(registry: Registry, name: str) -> list[Data]:
     kinds = [kind for kind in KINDS if name in registry.offered(kind)]
     if not kinds:
         known = {one for kind in KINDS for one in registry.offered(kind)}
-        raise ConfigError(unknown_name("plugin", name, known))
+        raise ConfigError(unknown_name("plugin", name, known) + registry.not_loaded())
     return [_data(registry, kind, name) for kind in kinds]
 
 

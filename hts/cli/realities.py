@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -61,7 +62,8 @@ def draw(
     with tempfile.TemporaryDirectory() as folder:
         policy = batch.exported_policy(robot, Path(folder), policy_file)
         if like is None:
-            files = batch.draw_many(batch.Asked(count, seed, robot, name, str(policy)), out, processes, tell)
+            first = partial(batch.check_walks, robot, policy)
+            files = batch.draw_many(batch.Asked(count, seed, robot, name, str(policy)), out, processes, tell, first)
         else:
             own = _likeness(like, robot, policy, discrepancy)
             asked = like_ours.Asked(count, seed, robot, name, str(policy), own, population)

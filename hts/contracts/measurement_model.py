@@ -38,6 +38,15 @@ class Prediction(NamedTuple):
     std: torch.Tensor | None = None
 
 
+def several_numbers(target: Channel) -> str:
+    """What is wrong with a target of more than one number a sample, and what to do."""
+    return (
+        f"Target '{target.name}' has shape {target.shape}, {math.prod(target.shape)} numbers a sample; "
+        "a model predicts one. Let the log or the instrument give one, such as the sum over the motors (`sum: true` of "
+        "a mapping) or the largest (`max: true`); all of them may stand beside it in the objective's also_measured."
+    )
+
+
 @dataclass(frozen=True)
 class Signals:
     """What a model reads and predicts.
@@ -59,12 +68,7 @@ class Signals:
     def __post_init__(self) -> None:
         target = self.target
         if math.prod(target.shape) != 1:
-            raise ConfigError(
-                f"Target '{target.name}' has shape {tuple(target.shape)}, {math.prod(target.shape)} numbers a sample; "
-                "a model predicts one. Let the log or the instrument give one, such as the sum over the motors (`sum: "
-                "true` of a mapping) or the largest (`max: true`); all of them may stand beside it in the objective's "
-                "also_measured."
-            )
+            raise ConfigError(several_numbers(target))
         if target.name in self.names:
             raise ConfigError(
                 f"Target '{target.name}' is among the inputs ({', '.join(self.names)}), so nothing is left to predict. "

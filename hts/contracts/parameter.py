@@ -10,6 +10,8 @@ from typing import Any
 
 from pydantic import Field
 
+from hts.errors import PluginError
+
 
 def parameter(
     default: float,
@@ -26,9 +28,12 @@ def parameter(
     """A pydantic field with meaning, unit, range and source; a value outside the range is refused.
 
     drawn: over what a reality draws it, if not over the whole range (log-uniform from a factor of ten, else uniform).
+    Raises PluginError for a default or a `drawn` outside the range, which pydantic does not look at.
+
     switch: name of a structural switch; the field stays at its default, which means "off", unless a reality has the
     switch, and one coin decides about all fields of that name, wherever they are. fixed: why it is never drawn.
     """
+    _check(meaning, (default,), low, high, drawn)
     text = f"{meaning}, {unit}. Range {low:g} to {high:g}. Source: {source}"
     extra: dict[str, Any] = {"unit": unit, "source": source, "range": [low, high]}
     extra |= {"drawn": list(drawn)} if drawn else {}
@@ -53,11 +58,26 @@ def parameters(
 
     All such fields of one class are drawn with the same number of values.
     """
+    _check(meaning, default, low, high, drawn)
     text = f"{meaning}, {unit}. Range {low:g} to {high:g}. Source: {source}"
     extra: dict[str, Any] = {"unit": unit, "source": source, "range": [low, high], "counts": list(counts)}
     extra |= {"drawn": list(drawn)} if drawn else {}
     extra |= {"ascending": True} if ascending else {}
     return Field(default, min_length=counts[0], max_length=counts[1], description=text, json_schema_extra=extra)
+
+
+def _check(
+    meaning: str, defaults: tuple[float, ...], low: float, high: float, drawn: tuple[float, float] | None
+) -> None:
+    """Raise PluginError for ranges whose ends are the wrong way round, or that do not hold what they should."""
+    if not low <= high:
+        raise PluginError(f"parameter '{meaning}': its range is {low:g} to {high:g}, expected the lower end first")
+    for what, values in (("its default", defaults), ("drawn", drawn or ())):
+        for value in values:
+            if not low <= value <= high:
+                raise PluginError(f"parameter '{meaning}': {what} is {value:g}, outside its range {low:g} to {high:g}")
+    if drawn and not drawn[0] <= drawn[1]:
+        raise PluginError(f"parameter '{meaning}': drawn is {drawn[0]:g} to {drawn[1]:g}, expected the lower end first")
 
 
 def structural(switch: str, source: str, meaning: str) -> Any:

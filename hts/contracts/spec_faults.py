@@ -36,6 +36,13 @@ def fault_of_spec(spec: RobotSpec) -> str:
     for name, (values, wanted) in per_joint.items():
         if fault := _per_joint(f"spec.{name}", values, wanted, spec.joint_names):
             return fault
+    for joint, (low, high) in zip(spec.joint_names, spec.position_limit, strict=True):
+        if low > high:
+            return f"spec.position_limit of '{joint}' is {low:g} to {high:g}, expected the lower end first, rad"
+    for name in ("torque_constant", "gear_ratio", "phase_resistance_ohm") if spec.motors is not None else ():
+        for joint, value in zip(spec.joint_names, per_joint[f"motors.{name}"][0], strict=True):
+            if not value > 0:
+                return f"spec.motors.{name} of '{joint}' is {value:g}, expected a number above 0"
     return _in_degrees(spec) or _of_no_leg(spec) or fault_of_height(spec) or fault_of_times(spec)
 
 

@@ -76,7 +76,8 @@ def check_json(values: Mapping[str, Any], what: str) -> None:
     """Raise PluginError, beginning with `what`, that names the first value that JSON cannot hold; NaN is one."""
     if not isinstance(values, Mapping):
         raise PluginError(
-            f"{what} is a {type(values).__name__}, expected a dict of JSON values (a property, no method)."
+            f"{what} is a {type(values).__name__}, expected a dict of JSON values"
+            + (" (a property, no method)." if callable(values) else ".")
         )
     for key, value in values.items():
         try:

@@ -148,7 +148,7 @@ def pretrained_file(robot: Robot) -> Path:
             "elsewhere with `hts policy import`; then name it: --set robot.policy=FILE.safetensors, or in the robot's "
             "pretrained_policy()."
         )
-    return source
+    return Path(source)
 
 
 def load_policy(path: Path | str, robot: RobotSpec | None = None) -> Policy:

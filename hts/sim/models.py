@@ -11,7 +11,7 @@ import numpy as np
 
 from hts.config import RandomisationConfig
 from hts.contracts import Robot
-from hts.errors import ConfigError
+from hts.errors import ConfigError, PluginError
 from hts.guarded import guarded
 from hts.sim.conventions import FLOOR, check_conventions
 
@@ -20,7 +20,10 @@ MOST_LOAD = 5.0
 
 
 def compile_model(robot: Robot) -> mujoco.MjModel:
-    """The robot's nominal model at its training time step. Raises ConfigError for a robot without one."""
+    """The robot's nominal model at its training time step. Raises ConfigError for a robot without one, PluginError for
+    what is no tree of dm_control."""
+    from dm_control import mjcf
+
     root = guarded(f"Robot '{robot.spec.name}': mjcf()", robot.mjcf)
     if root is None:
         if type(robot).make_env is Robot.make_env:
@@ -32,6 +35,11 @@ def compile_model(robot: Robot) -> mujoco.MjModel:
             )
         raise ConfigError(f"Robot '{robot.spec.name}' has no model to simulate here: {why}")
     name = f"Robot '{robot.spec.name}'"
+    if not isinstance(root, mjcf.RootElement):
+        raise PluginError(
+            f"{name}: mjcf() gives a {type(root).__name__}, expected a tree of dm_control, fresh each time: "
+            "mjcf.from_path(FILE) of a file, mjcf.from_xml_string(TEXT) of a text (from dm_control import mjcf)."
+        )
     text, assets = guarded(f"{name}: writing what mjcf() gives", lambda: (root.to_xml_string(), root.get_assets()))
     if fault := not_a_number(text):
         raise ConfigError(

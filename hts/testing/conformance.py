@@ -51,7 +51,8 @@ class Finding:
         """All of it on one line."""
         if self.fault is None:
             return f"{self.package}: {self.subject}: {self.demand}"
-        return f"{self.package}: {self.subject}: {self.fault.rstrip('.')}. Expected: {self.demand}"
+        fault = self.fault.rstrip(".")
+        return f"{self.package}: {self.subject}: {fault}{'' if fault.endswith('?') else '.'} Expected: {self.demand}"
 
 
 def check_package(

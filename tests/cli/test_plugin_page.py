@@ -67,6 +67,12 @@ def test_a_misspelt_name_is_answered_with_the_closest():
         plugin_data(load(), "racign")
 
 
+def test_a_name_of_a_plugin_that_did_not_load_points_to_it(install):
+    install("stranger", {"stranger": "import no_such_library"}, {"odd": "stranger"})
+    with pytest.raises(ConfigError, match=r"No plugin named 'odd'.* Could not be loaded: stranger; `hts plugins` says"):
+        plugin_data(load(), "odd")
+
+
 def test_the_command_prints_it_as_text_and_as_json(hts):
     assert "settings, --set selection.selector.KEY=VALUE" in hts("plugins", "racing").stdout
     assert json.loads(hts("plugins", "racing", "--json").stdout)[0]["name"] == "racing"

@@ -152,6 +152,15 @@ GAIN = """
             return Prediction(self.gain * super()._read(averages).mean)
 """
 
+COUNTED = """
+        asked = 0
+
+        def step(self, inputs, state):
+            self.asked += 1
+            prediction, state = super().step(inputs, state)
+            return Prediction(prediction.mean + 0.1 * self.asked), state
+"""
+
 NETWORK = """
         def __init__(self, config, signals):
             TorchModel.__init__(self, signals, config.products)
@@ -301,6 +310,11 @@ OTHER_UNIT = "signals = replace(signals, target=Channel(signals.target.name, 'V'
         (step(before="inputs = inputs.nan_to_num()"), "of an input that is nan"),
         ({"body": SATURATED}, "of an input that is inf"),
         (step(before="state += 0.01"), "changes its state in place"),
+        (
+            step(after="prediction = Prediction(prediction.mean + torch.randn(prediction.mean.shape))"),
+            "step predicts something else of the same inputs and state",
+        ),
+        ({"body": COUNTED}, "step predicts something else of the same inputs and state"),
         (step(before="inputs = inputs / max(1.0, float(inputs.abs().max()) / 1e6)"), "looks at a value"),
         (
             {"body": "        def reset(self, state, begun):\n            return self.initial_state(len(begun))"},
@@ -326,6 +340,11 @@ def test_a_faulty_model_is_named_with_its_fault(install, broken, fault):
     assert any(fault in line for line in found), found
     assert all(line.startswith(("odd-lab: measurement model 'odd': ", "odd-lab: module odd_lab: ")) for line in found)
     assert all("\n" not in line for line in found)
+
+
+def test_a_step_that_gives_no_pair_is_one_line(install):
+    (line,) = faults(install, body=AROUND.format(method="step", before="pass", after="return prediction"))
+    assert "step gives a Prediction, expected hts.contracts.Prediction and the state" in line
 
 
 @pytest.mark.parametrize(

@@ -340,6 +340,8 @@ def test_the_command_speaks_json(capsys, install):
 def test_a_finding_is_one_line_with_package_subject_fault_and_demand():
     finding = Finding("lab", "robot 'spot'", "It has four legs.", "has three legs.")
     assert finding.line() == "lab: robot 'spot': has three legs. Expected: It has four legs."
+    asks = Finding("lab", "robot 'spot'", "It has four legs.", "gives None: is `return` missing?")
+    assert asks.line() == "lab: robot 'spot': gives None: is `return` missing? Expected: It has four legs."
 
 
 def test_the_kit_is_gone_when_it_is_no_longer_needed():

@@ -6,12 +6,15 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from hts.cli.main import main
-from hts.errors import RunError
+from hts.errors import ConfigError, RunError
+from hts.policies.export import to_onnx
+from hts.policies.files import load_policy
 from hts.worlds.realities import batch, population
 from hts.worlds.realities.folder import begun, draws_of, only_one
 from hts.worlds.realities.like import Likeness
@@ -121,3 +124,21 @@ def test_a_name_that_is_no_part_of_a_files_name_is_refused_before_anything_is_dr
     line = capsys.readouterr().err
     assert line.count("\n") == 1 and "--name" in line, line
     assert not list(tmp_path.iterdir())
+
+
+def test_a_policy_that_falls_on_the_default_twin_is_told_before_anything_is_drawn(robot, tmp_path):
+    """Every draw would be dropped, without end: of a slower robot at the speeds that others are held to."""
+    walks = load_policy(robot.pretrained_policy())
+    odd = {name: -3.0 * value if name.endswith("bias") else value for name, value in walks.tensors.items()}
+    with pytest.raises(ConfigError, match=r"'go1': its policy fell at 0\.5, 0\.8, 1\.1 m/s on the default twin"):
+        batch.check_walks("go1", to_onnx(replace(walks, tensors=odd), tmp_path / "falls.onnx"))
+    batch.check_walks("go1", to_onnx(walks, tmp_path / "walks.onnx"))
+
+
+def test_draws_of_a_robot_that_falls_are_not_begun(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(batch, "fallen_at", lambda *given: ([0.5, 0.8], [0.8]))
+    out = tmp_path / "out"
+    assert main(["realities", "draw", "--count", "1", "--seed", "s", "--robot", "go1", "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "fell at 0.8 m/s on the default twin" in said and "--like STORE" in said and said.count("\n") == 1
+    assert len((out / "draws.jsonl").read_text().splitlines()) == 1  # the heading

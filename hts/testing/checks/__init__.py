@@ -52,7 +52,11 @@ NEEDED: tuple[Check, ...] = (
     objectives.has_its_parts,
     objectives.channels_are_known,
     objectives.instrument_measures_the_target,
+    robots.spec_is_consistent,
+    robots.channels_are_standard,
+    worlds.costs_nothing_yet,
     rewards.gives_one_number_per_world,
+    instruments.reads_its_channels,
     model_fits.can_be_fitted,
 )
 """Where one of these is not kept, the checks after it are not tried: they would only say the same in other words."""

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 
 import numpy as np
 
 from hts.errors import HtsError, PluginError
+from hts.plugins import Entry, Registry
+
+Check = Callable[[Entry, Registry], None]
 
 
 class NotTried(PluginError):
@@ -42,3 +46,22 @@ def same(first: object, second: object, tolerance: float = 0.0) -> bool:
 
 def listed(names: Iterable[str]) -> str:
     return ", ".join(sorted(names)) or "nothing"
+
+
+def after(*first: Check) -> Callable[[Check], Check]:
+    """A check that is worth its line only where others are kept, and waits where they are not: a model that cannot be
+    made would fail all of them."""
+
+    def gated(check: Check) -> Check:
+        @wraps(check)
+        def tried(entry: Entry, registry: Registry) -> None:
+            try:
+                for one in first:
+                    one(entry, registry)
+            except Exception as error:
+                raise NotTried("an earlier demand is not kept") from error  # said already, in the line of that check
+            check(entry, registry)
+
+        return tried
+
+    return gated

@@ -8,11 +8,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hts.channels import Channel
 from hts.contracts import Instrument, PhysicsSample
 from hts.plugins import Entry, Registry
-from hts.testing.checks.ensure import ensure, listed, same
+from hts.testing.checks.ensure import after, ensure, listed, same
+from hts.testing.checks.facts import facts_can_be_read
 from hts.testing.checks.made_up import WORLDS, arrays, physics, rest, sim_channels
-from hts.testing.checks.model_fits import after
 from hts.testing.examples.robot.robot import Tiny
 
 STEPS = 60  # of 1 ms: three control steps
@@ -35,6 +36,13 @@ def reads_its_channels(entry: Entry, registry: Registry) -> None:
     """Made without settings, it reads its channels, no sim channel, of all robots at once (one too), as finite
     numbers."""
     instrument = _made(entry)
+    ensure("channels" in dir(instrument), "its class sets no channels, a tuple of hts.channels.Channel")
+    several = isinstance(instrument.channels, tuple | list)
+    ensure(
+        several and all(isinstance(one, Channel) for one in instrument.channels),
+        f"its channels are a {type(instrument.channels).__name__}, expected a tuple of hts.channels.Channel; of one it "
+        "is (channel,)",
+    )
     named = {channel.name: channel for channel in instrument.channels}
     for worlds in (WORLDS, 1):
         readings, robots = _used(instrument, worlds=worlds), f"{worlds} robot{'s' if worlds > 1 else ''}"
@@ -52,8 +60,12 @@ def knows_idle(entry: Entry, registry: Registry) -> None:
     instrument = _made(entry)
     _used(instrument)
     levels, names = instrument.idle(), {channel.name for channel in instrument.channels}
+    ensure(
+        isinstance(levels, Mapping), f"idle() gives a {type(levels).__name__}, expected levels by the names of channels"
+    )
     ensure(bool(levels) and set(levels) <= names, f"idle() gives {listed(levels)}, its channels are {listed(names)}")
     for name, level in levels.items():
+        ensure(np.ndim(level) == 0, f"the idle level of '{name}' is a {type(level).__name__}, expected one number")
         ensure(bool(np.isfinite(level)), f"the idle level of '{name}' is {level}")
 
 
@@ -154,6 +166,7 @@ def repeats_itself(entry: Entry, registry: Registry) -> None:
             ensure(same(values, again[name]), f"'{name}' differs from one time to the next")
 
 
+@after(repeats_itself)
 def reads_each_robot_alone(entry: Entry, registry: Registry) -> None:
     """What it reads of one robot does not depend on how the others move."""
     first, other = (_used(_made(entry), others=others) for others in (1.0, 0.3))
@@ -175,6 +188,7 @@ def sees_the_motion(entry: Entry, registry: Registry) -> None:
     ensure(False, f"reads of {count / 1000:g} s of motion what it reads of robots at rest: step() changes no reading")
 
 
+@after(repeats_itself)
 def advances_as_it_steps(entry: Entry, registry: Registry) -> None:
     """advance() of the K steps between two readings, (K, W, ...), and step() for each read the same, to the bit."""
     for irregular in (False, True):
@@ -212,6 +226,7 @@ def leaves_physics_alone(entry: Entry, registry: Registry) -> None:
     ensure(not changed, f"step() changes {listed(changed)} in place")
 
 
+@after(repeats_itself)
 def reads_on_after_settling(entry: Entry, registry: Registry) -> None:
     """settle() runs, of one robot too; what is read after it and further steps is finite, and of each robot alone."""
     for worlds in (1, WORLDS):
@@ -285,7 +300,11 @@ def _stacked(samples: Sequence[PhysicsSample], before: PhysicsSample | None) -> 
 
 
 def _read(instrument: Instrument) -> Readings:
-    return {name: np.array(value, dtype=float) for name, value in instrument.read().items()}
+    found = instrument.read()
+    ensure(
+        isinstance(found, Mapping), f"read() gives a {type(found).__name__}, expected readings by the names of channels"
+    )
+    return {name: np.array(value, dtype=float) for name, value in found.items()}
 
 
 CHECKS = (
@@ -299,5 +318,6 @@ CHECKS = (
     reads_on_after_settling,
     leaves_physics_alone,
     describes_itself,
+    facts_can_be_read,
     tells_of_its_own_channels,
 )

@@ -17,7 +17,7 @@ from hts.errors import PolicyError
 from hts.plugins import Entry, Registry
 from hts.recordings.recording import Series
 from hts.testing.checks import model_fits
-from hts.testing.checks.ensure import ensure, refused
+from hts.testing.checks.ensure import Check, after, ensure, refused, same
 from hts.testing.checks.fitted_models import (
     STEPS,
     WORLDS,
@@ -29,7 +29,7 @@ from hts.testing.checks.fitted_models import (
     step_by_step,
     with_series,
 )
-from hts.testing.checks.model_fits import Check, after, is_made_unfitted
+from hts.testing.checks.model_fits import is_made_unfitted
 
 if TYPE_CHECKING:
     import torch
@@ -54,7 +54,8 @@ def _pair(what: str, found: Any) -> tuple[Prediction, torch.Tensor]:
 
 @after(is_made_unfitted)
 def predicts_for_each_world(entry: Entry, registry: Registry) -> None:
-    """step and sequence give a finite float32 each, a deviation of at least 0 or none; state leads with worlds."""
+    """step and sequence give a finite float32 each, a deviation of at least 0 or none, the same of the same;
+    state leads with worlds."""
     import torch
 
     model = fitted_model(entry, registry)
@@ -73,6 +74,12 @@ def predicts_for_each_world(entry: Entry, registry: Registry) -> None:
     ensure(wanted[:1] == (WORLDS,), f"initial_state({WORLDS}) has shape {wanted}: worlds do not lead")
     for what, state in (("step", after), ("sequence", last)):
         ensure(tuple(state.shape) == wanted, f"{what}: the state has shape {tuple(state.shape)}, not {wanted}")
+    again, left = model.step(data[0], model.initial_state(WORLDS))
+    ensure(
+        same(again.mean, found.mean) and same(left, after),
+        "step predicts something else of the same inputs and state: it draws random numbers, or keeps a memory outside "
+        "the state",
+    )
 
 
 @after(is_made_unfitted, predicts_for_each_world)
@@ -256,7 +263,7 @@ def changes_nothing(entry: Entry, registry: Registry) -> None:
     ensure(bool(torch.equal(state, before)), "changes its state in place")
 
 
-@after(is_made_unfitted)
+@after(is_made_unfitted, predicts_for_each_world)
 def is_saved_and_loaded(entry: Entry, registry: Registry) -> None:
     """Its file gives the same model back, to the bit, by its name and settings: all that was fitted is in `tensors`."""
     import torch

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import wraps
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from hts.contracts import MeasurementModel, ModelContext
 from hts.errors import HtsError
 from hts.plugin_settings import settings_model
 from hts.plugins import Entry, Registry
-from hts.testing.checks.ensure import ensure
+from hts.testing.checks.ensure import Check, after, ensure
 from hts.testing.checks.fitted_models import (
     context_for,
     fit_as_in_a_run,
@@ -25,8 +24,6 @@ from hts.testing.checks.fitted_models import (
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
-
-Check = Callable[[Entry, Registry], None]
 
 FAR_OFF = 1.0  # standard deviations that a model fitted in haste may be off, in mean and in spread
 SPREAD = 20.0  # of the target, in its unit, so that a prediction in the unit is far from one in deviations
@@ -47,24 +44,6 @@ def is_made_unfitted(entry: Entry, registry: Registry) -> None:
     settings = json.loads(json.dumps(dict(model.settings), allow_nan=False))
     again = registry.make_measurement_model(entry.name, settings, context)
     ensure(dict(again.settings) == dict(model.settings), "its settings, given to its factory, make another model")
-
-
-def after(*first: Check) -> Callable[[Check], Check]:
-    """A check that is worth its line only where others are kept: a model that cannot be made would fail all of them."""
-
-    def gated(check: Check) -> Check:
-        @wraps(check)
-        def tried(entry: Entry, registry: Registry) -> None:
-            try:
-                for one in first:
-                    one(entry, registry)
-            except Exception:  # noqa: BLE001 - it is said already, in the line of that check
-                return
-            check(entry, registry)
-
-        return tried
-
-    return gated
 
 
 @after(is_made_unfitted)

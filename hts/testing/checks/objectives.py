@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +13,14 @@ from hts import units
 from hts.channels import Channel
 from hts.config import MeasurementConfig, Named
 from hts.contracts import MODEL, Objective
+from hts.contracts.measurement_model import several_numbers
 from hts.errors import HtsError, PluginError, unknown_name
 from hts.evaluation.scoring import plain
 from hts.evaluation.segments import Segments
 from hts.plugins import Entry, Registry
-from hts.testing.checks.ensure import NotTried, ensure, listed, same
+from hts.testing.checks.ensure import after, ensure, listed, same
 from hts.testing.checks.instruments import remembered
 from hts.testing.checks.made_up import segments, sim_channels, walk
-from hts.testing.checks.model_fits import after
 from hts.testing.examples.robot.robot import Tiny
 
 MOST_REMEMBERED = 0.25
@@ -30,17 +31,25 @@ def has_its_parts(entry: Entry, registry: Registry) -> None:
     """It is made without settings; name as registered, known unit, inputs, target, λ above 0."""
     objective = entry.factory({})
     ensure(isinstance(objective, Objective), f"is a {type(objective).__name__}, not a hts.contracts.Objective")
+    lacking = [part for part in ("name", "unit", "inputs", "target") if part not in dir(objective)]
+    ensure(not lacking, f"its class sets no {listed(lacking)}")
     ensure(objective.name == entry.name, f"calls itself '{objective.name}'")
     ensure(units.known(str(objective.unit)), units.unknown(str(objective.unit)))
     for what, channel in [("target", objective.target), *(("also_measured", c) for c in objective.also_measured)]:
         ensure(isinstance(channel, Channel), f"its {what} is a {type(channel).__name__}")
-    ensure(bool(objective.inputs) and not isinstance(objective.inputs, str), f"its inputs are {objective.inputs!r}")
+    ensure(math.prod(objective.target.shape) == 1, several_numbers(objective.target))
+    names = isinstance(objective.inputs, tuple | list) and all(isinstance(one, str) for one in objective.inputs)
+    ensure(
+        names and bool(objective.inputs),
+        f"its inputs are {objective.inputs!r}, expected names of channels, such as ('joint_torque',)",
+    )
     for what in ("weights", "baseline_weights", "proxy_weights"):
         values = getattr(objective, what)
         numbers = isinstance(values, tuple | list) and all(isinstance(v, int | float) for v in values)
         ensure(numbers, f"its {what} are {values!r}, expected a tuple of numbers, such as (0.5, 1.0)")
         ensure(all(math.isfinite(v) and v > 0 for v in values), f"{what} are {tuple(values)}")
     ensure(bool(objective.weights), "weights are empty, so nothing is swept")
+    registry.make_objective(entry.name)  # and all that a run refuses
 
 
 def own_weights_fit_any_sensor(entry: Entry, registry: Registry) -> None:
@@ -156,6 +165,10 @@ def scores_each_segment(entry: Entry, registry: Registry) -> None:
     made_up = segments(objective, registry)
     before = _all_values(made_up)
     scores = objective.score(made_up)
+    ensure(
+        isinstance(scores, Mapping),
+        f"score gives a {type(scores).__name__}, expected names with arrays, one number per segment",
+    )
     ensure(bool(scores), "score gives nothing")
     wanted = (len(made_up),)
     for name, values in scores.items():
@@ -167,13 +180,27 @@ def scores_each_segment(entry: Entry, registry: Registry) -> None:
     ensure(all(same(values, again[name]) for name, values in scores.items()), "score differs from one time to the next")
 
 
+@after(scores_each_segment)
+def compares_means(entry: Entry, registry: Registry) -> None:
+    """compare gives a Comparison of finite single numbers, 0 between equals, and changes nothing that it is given."""
+    objective = entry.factory({})
+    means = _means(objective, segments(objective, registry))
+    policy, reference = dict(means), dict(means)
+    comparison = plain(objective, objective.compare(policy, reference))
+    ensure(policy == means and reference == means, "compare changes the means that it is given in place")
+    numbers = {"selection_score": comparison.selection_score, **comparison.metrics}
+    for name, value in numbers.items():
+        ensure(math.isfinite(value), f"'{name}' is {value} for two equal policies")
+    found = comparison.improvement
+    ensure(abs(found) < 1e-9, f"a policy equal to its reference improves by {found:g}")
+
+
+@after(compares_means)
 def score_lets_nan_through(entry: Entry, registry: Registry) -> None:
     """A NaN that was measured makes its segment's score NaN and no other's, and the improvement NaN: never a number."""
     objective = entry.factory({})
     made_up = segments(objective, registry)
     clean = objective.score(made_up)
-    if any(np.ndim(values) != 1 for values in clean.values()):
-        raise NotTried("score does not give one number per segment")  # said by `scores_each_segment`
     for recording in made_up.recordings:
         recording.channels[objective.target.name].values[made_up.start[0] + 1] = np.nan
     with np.errstate(all="ignore"):
@@ -189,20 +216,7 @@ def score_lets_nan_through(entry: Entry, registry: Registry) -> None:
     ensure(not math.isfinite(improvement), f"compare makes {improvement:g} of a mean that is NaN")
 
 
-def compares_means(entry: Entry, registry: Registry) -> None:
-    """compare gives a Comparison of finite single numbers, 0 between equals, and changes nothing that it is given."""
-    objective = entry.factory({})
-    means = _means(objective, segments(objective, registry))
-    policy, reference = dict(means), dict(means)
-    comparison = plain(objective, objective.compare(policy, reference))
-    ensure(policy == means and reference == means, "compare changes the means that it is given in place")
-    numbers = {"selection_score": comparison.selection_score, **comparison.metrics}
-    for name, value in numbers.items():
-        ensure(math.isfinite(value), f"'{name}' is {value} for two equal policies")
-    found = comparison.improvement
-    ensure(abs(found) < 1e-9, f"a policy equal to its reference improves by {found:g}")
-
-
+@after(compares_means)
 def reward_and_score_agree(entry: Entry, registry: Registry) -> None:
     """What pays in training is what counts on the robot: reward and improvement rise and fall together."""
     import torch
@@ -231,8 +245,6 @@ def reward_remembers_no_data(entry: Entry, registry: Registry) -> None:
 
 def _means(objective: Objective, made_up: Segments) -> dict[str, float]:
     scores = objective.score(made_up)
-    if not all(np.shape(values) == (len(made_up),) for values in scores.values()):
-        raise PluginError("score does not give one number per segment")
     return {name: float(np.mean(values)) for name, values in scores.items()}
 
 
@@ -250,7 +262,7 @@ CHECKS = (
     model_is_registered,
     model_is_fitted_saved_and_loaded,
     scores_each_segment,
-    score_lets_nan_through,
     compares_means,
+    score_lets_nan_through,
 )
 """Before those of the reward; `reward_and_score_agree` comes after them."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from hts import units
 from hts.channels import standard_channels
 from hts.config import EnvConfig, RandomisationConfig
-from hts.contracts import FollowVelocity, Robot, Task
+from hts.contracts import FollowVelocity, Robot, RobotSpec, Task
 from hts.contracts.spec_faults import fault_of_height, fault_of_spec, fault_of_step, fault_of_times
 from hts.envs.velocity_robot import VelocityRobot
 from hts.errors import unknown_name
@@ -30,7 +31,9 @@ def spec_is_consistent(entry: Entry, registry: Registry) -> None:
     """Made without settings; name as registered, every tuple of its spec follows the joints, poses within limits."""
     robot = entry.factory({})
     ensure(isinstance(robot, Robot), f"is a {type(robot).__name__}, not a hts.contracts.Robot")
+    ensure("spec" in dir(robot), "its class sets no spec, a hts.contracts.RobotSpec")
     spec = robot.spec
+    ensure(isinstance(spec, RobotSpec), f"its spec is a {type(spec).__name__}, not a hts.contracts.RobotSpec")
     ensure(spec.name == entry.name, f"its spec is called '{spec.name}'")
     ensure(len(set(spec.joint_names)) == spec.num_joints, f"joint names are {spec.joint_names}")
     fault = fault_of_spec(spec)
@@ -53,7 +56,12 @@ def channels_are_standard(entry: Entry, registry: Registry) -> None:
     """Its channels are named as they are listed, and a standard channel has its standard unit and size."""
     robot = entry.factory({})
     standard = standard_channels(robot.spec.num_joints, len(robot.spec.foot_sites))
-    for name, channel in robot.channels().items():
+    channels = robot.channels()
+    ensure(
+        isinstance(channels, Mapping),
+        f"channels() gives a {type(channels).__name__}, expected names with hts.channels.Channel",
+    )
+    for name, channel in channels.items():
         ensure(channel.name == name, f"channel '{channel.name}' is listed as '{name}'")
         if name in standard:
             found, wanted = ((c.unit, c.shape) for c in (channel, standard[name]))
@@ -124,6 +132,9 @@ def policy_fits(entry: Entry, registry: Registry) -> None:
     path = robot.pretrained_policy()
     if path is None:
         return
+    ensure(
+        isinstance(path, Path), f"pretrained_policy() gives a {type(path).__name__}, expected a pathlib.Path or None"
+    )
     for file in (path, path.with_suffix(".json")):
         ensure(file.is_file(), f"{file} is not there")
     from hts.policies.files import load_policy

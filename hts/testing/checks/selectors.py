@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from contextlib import suppress
 
 from hts.contracts import Comparison, Selector, SimulatedCandidate, TestedCandidate
+from hts.errors import HtsError, PluginError
 from hts.plugins import Entry, Registry
-from hts.testing.checks.ensure import ensure
+from hts.testing.checks.ensure import after, ensure
 
 NAMES = tuple(f"00-{index:02d}" for index in range(6))
 
@@ -18,7 +21,7 @@ def picks_elites(entry: Entry, registry: Registry) -> None:
     for candidates in (_simulated(1), _simulated(2)):
         given = list(candidates)
         for count in (1, 3, 9):
-            elites = list(selector.elites(given, count))
+            elites = _ids(selector.elites(given, count))
             ensure(given == candidates, "elites changes the list that it is given in place")
             ensure(len(elites) <= count, f"{count} were asked for, elites are {elites}")
             ensure(
@@ -29,6 +32,7 @@ def picks_elites(entry: Entry, registry: Registry) -> None:
             ensure(elites == again, "elites differ from one time to the next")
 
 
+@after(picks_elites)
 def puts_unfit_last(entry: Entry, registry: Registry) -> None:
     """A candidate that fell, missed the speed or has no score (NaN) is no elite before those that are sound."""
     sound = [SimulatedCandidate(name, -float(i), 0, True, {"one": -float(i)}) for i, name in enumerate(NAMES[:3])]
@@ -52,6 +56,7 @@ def chooses_the_best(entry: Entry, registry: Registry) -> None:
         given = list(tested)
         best = selector.best(given)
         ensure(given == tested, "best changes the list that it is given in place")
+        ensure(best is None or isinstance(best, str), f"best gives a {type(best).__name__}, expected an id or None")
         ensure(best in NAMES, f"of {len(tested)} candidates that are all better the best is {best!r}")
         ensure(best == selector.best(list(tested)), "the best differs from one time to the next")
         worse = [_tested(name, -0.1 * (index + 1), objectives) for index, name in enumerate(NAMES)]
@@ -61,6 +66,23 @@ def chooses_the_best(entry: Entry, registry: Registry) -> None:
             selector.best(unknown) is None, f"of candidates that measured NaN the best is {selector.best(unknown)!r}"
         )
     ensure(selector.best([]) is None, f"with nothing tested the best is {selector.best([])!r}")
+
+
+def looks_at_a_runs_objectives(entry: Entry, registry: Registry) -> None:
+    """check of the names of a run's objectives gives nothing, or refuses them in one line of hts.errors."""
+    selector = entry.factory({})
+    for names in (("objective-0",), ("objective-0", "objective-1")):
+        with suppress(HtsError):
+            selector.check(names)
+
+
+def _ids(elites: object) -> list[str]:
+    """What elites gave, if these are texts in a list."""
+    if isinstance(elites, str) or not isinstance(elites, Sequence):
+        raise PluginError(f"elites gives a {type(elites).__name__}, expected a list of ids")
+    for one in elites:
+        ensure(isinstance(one, str), f"elites gives a list with a {type(one).__name__}, expected one of ids")
+    return list(elites)
 
 
 def _simulated(objectives: int) -> list[SimulatedCandidate]:
@@ -76,4 +98,4 @@ def _tested(name: str, gain: float, objectives: int) -> TestedCandidate:
     return TestedCandidate(name, {f"objective-{n}": Comparison(gain, gain) for n in range(objectives)}, False)
 
 
-CHECKS = (picks_elites, puts_unfit_last, chooses_the_best)
+CHECKS = (looks_at_a_runs_objectives, picks_elites, puts_unfit_last, chooses_the_best)

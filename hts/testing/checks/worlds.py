@@ -37,6 +37,7 @@ def costs_nothing_yet(entry: Entry, registry: Registry) -> None:
         with kit_installed():
             world = entry.factory({}, given)
             ensure(isinstance(world, World), f"is a {type(world).__name__}, not a hts.contracts.World")
+            ensure("name" in dir(world), f'does not say its name: add `name = "{entry.name}"` to its class')
             ensure(world.name == entry.name, f"calls itself '{world.name}'")
             ensure(
                 world.simulated is not None,
@@ -63,6 +64,7 @@ def gives_recordings(entry: Entry, registry: Registry) -> None:
         except WaitingForRobot as waiting:
             ensure("\n" not in str(waiting), f"waits in several lines: {waiting}")
             return
+        _several("collect", recordings)
         ensure(len(recordings) == 2, f"gives {len(recordings)} recordings for 2 policies")
         idle = world.idle()
         ensure(all(math.isfinite(level) for level in idle.values()), f"idle levels are {dict(idle)}")
@@ -84,6 +86,7 @@ def compares_on_one_machine(entry: Entry, registry: Registry) -> None:
             recordings = world.head_to_head(policy, policy, points)
         except WaitingForRobot:
             return
+        _several("head_to_head", recordings)
         wanted = 4 * len(points)
         ensure(
             len(recordings) == wanted, f"gives {len(recordings)} recordings for {len(points)} speeds, not 4 blocks each"
@@ -136,6 +139,13 @@ def holds_the_speed_that_it_says(entry: Entry, registry: Registry) -> None:
             found = {recording.notes["held_command"] for recording in recordings if recording.role == role}
             ensure(len(found) == 1, f"sent the {role} {len(found)} commands in one head-to-head, not a frozen one")
         ensure(world.hold_speed(None) is False, "still holds the speed after hold_speed(None)")
+
+
+def _several(method: str, found: object) -> None:
+    """What a world gave is a list of recordings."""
+    ensure(isinstance(found, list | tuple), f"{method} gives a {type(found).__name__}, expected a list of recordings")
+    wrong = [type(one).__name__ for one in found if not isinstance(one, Recording)]  # type: ignore[attr-defined]
+    ensure(not wrong, f"{method} gives a {wrong[0] if wrong else ''} among its recordings")
 
 
 def _whole(recording: Recording, case: Case, world: str, seconds: float, folder: Path) -> None:

@@ -24,7 +24,7 @@ from hts.cores import available
 from hts.errors import ConfigError
 from hts.explain import dotted, explain
 from hts.plugin_settings import in_full
-from hts.worlds.realities.check import Tried, Verdict, check
+from hts.worlds.realities.check import Tried, Verdict, check, fallen_at
 from hts.worlds.realities.draw import Draw, draw
 from hts.worlds.realities.folder import LINES, begun, only_one
 from hts.worlds.realities.ranges import drawn_parameters, ranges_sha256
@@ -134,8 +134,15 @@ def one_draw(asked: Asked, index: int) -> tuple[dict[str, Any], str]:
     return line, whole.model_dump_json() if verdict.kept else ""
 
 
-def draw_many(asked: Asked, folder: Path, processes: int = 0, tell: Told | None = None) -> list[Path]:
-    """Files of the realities that were kept, as many as asked for. Goes on with what the folder holds already."""
+def draw_many(
+    asked: Asked,
+    folder: Path,
+    processes: int = 0,
+    tell: Told | None = None,
+    first: Callable[[], None] | None = None,
+) -> list[Path]:
+    """Files of the realities that were kept, as many as asked for. Goes on with what the folder holds already; first:
+    called where it holds no draw."""
     heading = {
         "format": 1,
         "seed": asked.seed,
@@ -151,6 +158,8 @@ def draw_many(asked: Asked, folder: Path, processes: int = 0, tell: Told | None 
             read(str(there))  # raises for one that is not there or broken
         if kept >= asked.count:
             return files
+        if first is not None and not lines:
+            first()
         for line, content in _in_order(asked, len(lines), processes):
             path = files[kept] if line["kept"] else None
             if path is not None:
@@ -189,6 +198,23 @@ def exported_policy(robot: str, folder: Path, source: Path | None = None) -> Pat
     if source is None or not Path(source).exists():
         raise ConfigError(f"Robot '{robot}' ships no policy, so no draw can be held against how it walks.")
     return to_onnx(load_policy(Path(source)), folder / "pretrained.onnx")
+
+
+def check_walks(robot: str, policy: Path) -> None:
+    """Before the first draw: raises ConfigError where the policy (ONNX) falls on the default twin already, so that
+    draws would be dropped without end."""
+    registry = plugins.load()
+    machine = registry.make_robot(robot)
+    instruments = {name: registry.make_instrument(name, {}, machine) for name in registry.offered("instruments")}
+    speeds, fell = fallen_at(machine, instruments, policy)
+    if fell:
+        walks = ", ".join(f"{speed:g}" for speed in speeds)
+        raise ConfigError(
+            f"Robot '{robot}': its policy {fell} on the default twin. A draw is kept if it "
+            f"walks at {walks} m/s and agrees with what is published of the machine, so none would be. Draw "
+            "what agrees with recordings of yours, at the speeds that they hold (--like STORE), or start from a policy "
+            "that walks there."
+        )
 
 
 def verdict_on(reality: Reality) -> Verdict:

@@ -19,6 +19,7 @@ from hts.errors import ConfigError, HtsError, PluginError, UnfitWorldError
 from hts.recordings.recording import Recording
 from hts.worlds.base import request_id, seed_sequence, walking
 from hts.worlds.realities.quick import standing_values
+from hts.worlds.realities.read_off import read_off
 from hts.worlds.twin.model import build
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.programme import Block, Session, warm_up
@@ -70,8 +71,8 @@ class Verdict:
 
 def check(twin: Tried, policy: Path) -> Verdict:
     """The verdict on a twin. policy: exported (ONNX)."""
-    facts = [fact for instrument in twin.instruments.values() for fact in instrument.facts()]
-    speeds = sorted({*EvaluationConfig().speeds, *(fact.speed for fact in facts if fact.speed > 0)})
+    facts = _facts(twin.instruments)
+    speeds = _speeds(facts)
     measured: tuple[Measured, ...] = ()
     try:
         if any(fact.speed == 0 for fact in facts):
@@ -95,6 +96,21 @@ def check(twin: Tried, policy: Path) -> Verdict:
     except (HtsError, FloatingPointError) as error:  # such as motors that warm up without end
         return Verdict(measured, str(error))
     return Verdict((*measured, *seen), "")
+
+
+def fallen_at(robot: Robot, instruments: Mapping[str, Instrument], policy: Path) -> tuple[Sequence[float], str]:
+    """The speeds at which draws have to walk, m/s, and at which of them the default twin falls in a glance, in words,
+    "" for none."""
+    speeds = _speeds(_facts(instruments))
+    return speeds, walked(Tried(robot, TwinSettings(), {}), [], str(policy), speeds, GLANCE)[1]
+
+
+def _facts(instruments: Mapping[str, Instrument]) -> list[Fact]:
+    return [fact for instrument in instruments.values() for fact in instrument.facts()]
+
+
+def _speeds(facts: Sequence[Fact]) -> list[float]:
+    return sorted({*EvaluationConfig().speeds, *(fact.speed for fact in facts if fact.speed > 0)})
 
 
 def _measured(facts: Sequence[Fact], values: Mapping[str, float]) -> tuple[Measured, ...]:
@@ -154,4 +170,4 @@ def _recorded(
 def _value(fact: Fact, sessions: Sequence[Sequence[Recording]]) -> float:
     """Mean over the sessions, of what was recorded last in each."""
     last = [recordings[-1] for recordings in sessions]
-    return float(np.mean([fact.reading({name: one.values(name) for name in one.channels}, one.idle) for one in last]))
+    return float(np.mean([read_off(fact, {name: one.values(name) for name in one.channels}, one.idle) for one in last]))

@@ -32,6 +32,7 @@ from hts.errors import RecordingError
 from hts.quantiles import student_quantile
 from hts.recordings.on_schedule import samples_at
 from hts.recordings.recording import Recording
+from hts.worlds.realities.read_off import read_off
 
 if TYPE_CHECKING:
     from hts.plugins import Registry
@@ -157,7 +158,7 @@ def _idle(
     for name, reading in _readings(instruments):
         if reading.idle:
             there = [one for one in recordings if all(channel in one.idle for channel in reading.channels)]
-            values = sorted({reading.reading({}, one.idle) for one in there})
+            values = sorted({read_off(reading, {}, one.idle) for one in there})
             if values:
                 yield _figure(reading.name, name, reading, (0.0, 0.0), values, discrepancy)
 
@@ -182,7 +183,7 @@ def _values(instrument: str, reading: Reading, stretches: Sequence[Stretch]) -> 
     for one in stretches:
         if needed <= set(one.recording.channels) and (not instrument or needed <= set(one.recording.idle)):
             rows = {name: one.recording.values(name)[one.rows] for name in needed}
-            values.append(reading.reading(rows, one.recording.idle))
+            values.append(read_off(reading, rows, one.recording.idle))
     return values
 
 
@@ -265,7 +266,7 @@ def shown_idle(figures: Sequence[Figure], instruments: Mapping[str, Instrument])
         levels |= instrument.idle()
     known = {(name, one.name): one for name, one in _readings(instruments)}
     return {
-        one.name: float(known[one.instrument, one.reading].reading({}, levels))
+        one.name: read_off(known[one.instrument, one.reading], {}, levels)
         for one in figures
         if one.idle and (one.instrument, one.reading) in known
     }

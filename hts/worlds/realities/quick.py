@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hts.contracts import Fact, Instrument, PhysicsSample
+from hts.worlds.realities.read_off import read_off
 from hts.worlds.twin.model import Machine
 
 SECONDS = 1.0  # of each of three stretches: two that settle heat, one that is read
@@ -44,4 +45,4 @@ def standing_values(
                 instrument.settle()
         idle |= instrument.idle()
     channels = {name: np.array(values) for name, values in shown.items()}
-    return {fact.name: fact.reading(channels, idle) for fact in facts if fact.speed == 0}
+    return {fact.name: read_off(fact, channels, idle) for fact in facts if fact.speed == 0}
