@@ -136,7 +136,7 @@ def test_a_policy_that_falls_on_the_default_twin_is_told_before_anything_is_draw
 
 
 def test_draws_of_a_robot_that_falls_are_not_begun(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(batch, "fallen_at", lambda *given: ([0.5, 0.8], [0.8]))
+    monkeypatch.setattr(batch, "fallen_at", lambda *given: ([0.5, 0.8], "fell at 0.8 m/s"))
     out = tmp_path / "out"
     assert main(["realities", "draw", "--count", "1", "--seed", "s", "--robot", "go1", "--out", str(out)]) == 2
     said = capsys.readouterr().err
