@@ -52,6 +52,16 @@ def walk(made: Microphone, speed: np.ndarray, seconds: float = 1.0, every: int =
     return np.array(levels)
 
 
+def test_twice_as_far_from_the_drives_is_six_decibels_less(spec):
+    still = np.zeros((1, 4))
+    near, far = (
+        walk(microphone(spec, distance=d, room_level=30.0, drive_level=55.0), still, joint_speed=10.0)[-1]
+        for d in (1.0, 2.0)
+    )
+    drives = [10 ** (level / 10) - 10**3.0 for level in (near, far)]  # without the room's 30 dB
+    assert drives[0] / drives[1] == pytest.approx(4.0, rel=0.01)  # a quarter of the squared pressure
+
+
 def test_the_room_alone_has_the_rooms_level(spec):
     made = microphone(spec)
     assert walk(made, np.zeros((1, 4))) == pytest.approx(38.0)
