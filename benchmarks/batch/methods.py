@@ -63,7 +63,7 @@ METHODS: dict[str, Method] = {
     "ours-proxy": Method(settings=("reward_source=proxy",)),  # ours with the analytic stand-in as reward
     "baseline": Method(command="baseline"),  # `hts baseline`: the stand-in with its own sweep and budget
     # With `paper` the paper's recipe as we read it; in smaller presets its inputs, data and criterion in their budgets.
-    "paper-exact": Method(  # the paper's own recipe
+    "paper-exact": Method(
         presets={"paper": "paper-exact"},
         elsewhere=(
             "collection.exploring=0",

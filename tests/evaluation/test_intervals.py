@@ -12,7 +12,6 @@ from hts.evaluation.head_to_head import compare
 from hts.evaluation.intervals import (
     _batch,
     _degrees,
-    _variance_ratio,
     interval,
     lag_one_correlation,
     variance_of_mean,
@@ -142,17 +141,6 @@ def walk(rng, count, correlation):
 def test_degrees_of_freedom_are_batches_less_blocks_where_all_are_of_one_length():
     blocks = [[_batch(np.random.default_rng(0).random((40, 1)), 0.0)] * 2] * 2
     assert _degrees(blocks, 0.0) == pytest.approx(4 * (len(blocks[0][0][1]) - 1))
-
-
-def test_a_policy_in_two_blocks_beside_one_in_a_single_block_counts_each_block_by_its_share():
-    """Without correlation a mean of n has the variance 1/n, and k batches of m segments show (k/m - 1/m) / k."""
-    one, two = ([_batch(np.zeros((length, 1)), 0.0)] * blocks for length, blocks in ((15, 1), (30, 2)))
-    assert [len(sizes) for _, sizes in (*one, *two)] == [3, 6, 6]
-    # One: 1/15 of which 2/45 show. Two, a quarter each: 1/120 of which 1/144 shows.
-    assert _variance_ratio([one, one], 0.0) == pytest.approx(1.5)
-    assert _variance_ratio([one, two], 0.0) == pytest.approx((1 / 15 + 2 / 120) / (2 / 45 + 2 / 144))
-    # Welch and Satterthwaite: (sum of variances)^2 over the sum of variance^2 / degrees, of 2, 5 and 5.
-    assert _degrees([one, two], 0.0) == pytest.approx((1 / 12) ** 2 / (1 / 15**2 / 2 + 2 / 120**2 / 5))
 
 
 def test_what_cannot_be_compared_in_some_draw_has_no_interval():

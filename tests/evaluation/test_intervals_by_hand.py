@@ -91,3 +91,14 @@ def test_a_mean_is_that_of_blocks_however_long_they_are():
     """Nothing scatters within them, so the interval is its point: (1 + 3) / 2."""
     policy, reference = [np.ones((10, 1)), np.full((5, 1), 3.0)], [np.zeros((10, 1))] * 2
     assert interval(lambda one, other: float(one[0] - other[0]), policy, reference) == (2.0, 2.0)
+
+
+def test_a_policy_in_two_blocks_beside_one_in_a_single_block_counts_each_block_by_its_share():
+    """Without correlation a mean of n has the variance 1/n, and k batches of m segments show (k/m - 1/m) / k."""
+    one, two = ([_batch(np.zeros((length, 1)), 0.0)] * blocks for length, blocks in ((15, 1), (30, 2)))
+    assert [len(sizes) for _, sizes in (*one, *two)] == [3, 6, 6]
+    # One: 1/15 of which 2/45 show. Two, a quarter each: 1/120 of which 1/144 shows.
+    assert _variance_ratio([one, one], 0.0) == pytest.approx(1.5)
+    assert _variance_ratio([one, two], 0.0) == pytest.approx((1 / 15 + 2 / 120) / (2 / 45 + 2 / 144))
+    # Welch and Satterthwaite: (sum of variances)^2 over the sum of variance^2 / degrees, of 2, 5 and 5.
+    assert _degrees([one, two], 0.0) == pytest.approx((1 / 12) ** 2 / (1 / 15**2 / 2 + 2 / 120**2 / 5))

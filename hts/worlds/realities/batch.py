@@ -210,10 +210,9 @@ def check_walks(robot: str, policy: Path) -> None:
     if fell:
         walks = ", ".join(f"{speed:g}" for speed in speeds)
         raise ConfigError(
-            f"Robot '{robot}': its policy {fell} on the default twin. A draw is kept if it "
-            f"walks at {walks} m/s and agrees with what is published of the machine, so none would be. Draw "
-            "what agrees with recordings of yours, at the speeds that they hold (--like STORE), or start from a policy "
-            "that walks there."
+            f"Robot '{robot}': its policy {fell} on the default twin. A draw is kept if it walks at {walks} m/s and "
+            "agrees with what is published of the machine, so none would be. Draw what agrees with recordings of "
+            "yours, at the speeds that they hold (--like STORE), or start from a policy that walks there."
         )
 
 
