@@ -28,6 +28,8 @@ BLOCKS: tuple[tuple[int, float, float, float, float], ...] = (
     (38, 0.9, 0.9, 5.0, 5.0),
 )
 """Segments a block; correlation of neighbours, and standard deviation in W, of policy and of reference."""
+OWN: tuple[tuple[int, float, float, float], ...] = ((78, 0.6, 5.0, 1.0), (78, 0.6, 5.0, 2.0))
+"""Segments a block; correlation and standard deviation, W, of both; and standard deviation of whole blocks, W."""
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]
 
@@ -50,21 +52,30 @@ REALITIES: tuple[tuple[str, Statistic, str, Draw, tuple[int, ...]], ...] = (
 
 
 def held_by_blocks(
-    worlds: int, segments: int, correlations: Sequence[float], watts: Sequence[float], resamples: int = 600
+    worlds: int,
+    segments: int,
+    correlations: Sequence[float],
+    watts: Sequence[float],
+    resamples: int = 600,
+    own: float = 0.0,
 ) -> float:
     """Share of head-to-heads of two blocks each whose interval holds the true saving. correlations, watts: of policy
-    and reference."""
+    and reference; own: what each block has of its own, W, as of an idle load that wanders for minutes."""
     rng, hits = np.random.default_rng(0), 0
     levels = (REFERENCE_WATTS * (1 - SAVING), REFERENCE_WATTS)
     for seed in range(worlds):
         policy, reference = (
-            [level + scatter * series(rng, segments, correlation) for _ in range(2)]
+            [level + scatter * series(rng, segments, correlation) + _of_block(rng, own) for _ in range(2)]
             for level, correlation, scatter in zip(levels, correlations, watts, strict=True)
         )
         found = interval(lambda one, other: float(1 - one[0] / other[0]), policy, reference, resamples, seed)
         assert found is not None
         hits += found[0] <= SAVING <= found[1]
     return hits / worlds
+
+
+def _of_block(rng: np.random.Generator, own: float) -> float:
+    return own * float(rng.standard_normal()) if own else 0.0
 
 
 def series(rng: np.random.Generator, count: int, correlation: float) -> np.ndarray:
@@ -97,6 +108,10 @@ def main() -> int:
         for segments, own, other, watts, of_other in BLOCKS:
             share = held_by_blocks(given.worlds, segments, (own, other), (watts, of_other))
             print(f"| {segments} | {own:g}, {other:g} | {watts:g}, {of_other:g} | {share:.3f} |", flush=True)
+        print("\n| segments per block | φ | scatter, W | of whole blocks, W | holds |\n|---|---|---|---|---|")
+        for segments, own, watts, of_block in OWN:
+            share = held_by_blocks(given.worlds, segments, (own, own), (watts, watts), own=of_block)
+            print(f"| {segments} | {own:g} | {watts:g} | {of_block:g} | {share:.3f} |", flush=True)
         return 0
     print("| statistic | realities scatter | how many | holds |\n|---|---|---|---|")
     for name, statistic, shape, draw, counts in REALITIES:

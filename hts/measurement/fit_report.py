@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hts.measurement.comparison import SMOOTHED
@@ -14,7 +14,7 @@ from hts.measurement.outliers import Masked, told
 WORSE_THAN_LINEAR = 0.1
 """By so much less variance explained a model is not worth its training."""
 POOR_SPREAD = 2.0
-"""Errors that are more than so many times as large as a model says are worth a line."""
+"""Errors of policies' means that are more than so many times as large as a model says are worth a line."""
 EXPLAINS = 0.1
 """Below so much variance explained on held-out recordings the sign of a fitted scale is chance."""
 COUNTS = ("samples", "short")
@@ -105,14 +105,20 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
     line = (held.get("proxy") or {}).get("smoothed") or {}
     if _falls(line):
         lines.append(_falling(target, f"{line['scale']:.3g}"))
-    spread = held.get("spread") or {}
-    times = spread.get("error_over_spread")
-    if times is not None and times > POOR_SPREAD:
-        lines.append(
-            f"{target}: the model's doubt is too small: {spread['within_1']:.2f} of its errors lie within one of its "
-            f"standard deviations (of a Gaussian 0.68), and they are {times:.1f} times as large as it says."
-        )
+    means = (held.get("spread") or {}).get("policies") or []
+    times = _times_too_small(means)
+    if times > POOR_SPREAD:
+        of = f"the means of {len(means)} policies are" if len(means) > 1 else "the mean of the held-out policy is"
+        lines.append(f"{target}: the model's doubt is too small: {of} off by {times:.1f} times what it says.")
     return lines
+
+
+def _times_too_small(means: Sequence[Mapping[str, float]]) -> float:
+    """Root mean square of the errors of policies' means over that of the model's own standard deviations for them; 0
+    without any. Single samples would not do: what a doubt says of them leaves out the sensor's own scatter and the old
+    numbers that it shows between readings, and looks too small however right it is."""
+    wide = sum(one["spread"] ** 2 for one in means)
+    return math.sqrt(sum(one["error"] ** 2 for one in means) / wide) if wide > 0 else 0.0
 
 
 def _falls(line: Mapping[str, Any]) -> bool:

@@ -38,6 +38,10 @@ def test_one_correlation_for_both_is_too_narrow_where_only_one_wanders(correlati
     assert least <= held_by_blocks(300, 78, correlations, (5.0, 5.0), resamples=300) <= most
 
 
+def test_what_a_whole_block_has_of_its_own_is_not_in_the_interval_of_one_session():
+    assert held_by_blocks(300, 78, (0.6, 0.6), (5.0, 5.0), resamples=300, own=2.0) < 0.8
+
+
 @pytest.mark.parametrize(
     ("statistic", "draw", "count", "least", "most"),
     [

@@ -232,10 +232,11 @@ def test_a_stand_in_with_a_negative_scale_is_told_with_its_likely_causes():
     assert fit_report.doubts(report) == []
 
 
-def test_a_spread_that_is_too_small_is_told():
-    (line,) = fit_report.doubts(a_report(0.9, 0.9, {"within_1": 0.21, "error_over_spread": 3.4}))
-    assert "0.21 of its errors lie within one of its standard deviations" in line and "3.4 times" in line
-    assert fit_report.doubts(a_report(0.9, 0.9, {"within_1": 0.6, "error_over_spread": 1.2})) == []
+def test_a_doubt_that_is_too_small_for_means_of_policies_is_told_and_one_for_single_samples_is_not():
+    means = [{"policy": "a", "error": 0.3, "spread": 0.1}, {"policy": "b", "error": -0.4, "spread": 0.1}]
+    (line,) = fit_report.doubts(a_report(0.9, 0.9, {"error_over_spread": 9.0, "policies": means}))
+    assert "the means of 2 policies are off by 3.5 times" in line
+    assert not fit_report.doubts(a_report(0.9, 0.9, {"policies": [one | {"spread": 0.2} for one in means]}))
 
 
 def test_the_command_prints_what_is_doubtful_after_its_summary(store, tmp_path, monkeypatch, capsys):

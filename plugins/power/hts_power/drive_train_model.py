@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from hts.measurement.fit_settings import FitSettings
     from hts.recordings.recording import Recording
 
-IN_STEPS = "in physics steps"
+COMPUTED, IN_STEPS = "computed", "in physics steps"
 IN_FAVOUR = 0.95  # of the error: where both explain about as much, what lies between samples decides for other gaits
 MOST_FOLDS = 10
 ROUNDS = 3  # of sensor and drives in turn
@@ -90,6 +90,11 @@ class DriveTrainSettings(Config):
         None,
         description="written by the fit: physics steps of a control step, and by how many of them targets come late; "
         "null: it was fitted to samples",
+    )
+    computed_torque: bool = Field(
+        False,
+        description="written by the fit: the torque that position control asked for explained the log better than the "
+        "one that was read, so a log is predicted from it too",
     )
 
     @model_validator(mode="after")
@@ -179,7 +184,7 @@ class DriveTrain(TorchModel):
             sources = {"read": [piece.inputs for piece in pieces]}
             computed = [computed_inputs(self.signals, recording) for recording in recordings]
             if all(inputs is not None for inputs in computed):
-                sources["computed"] = [inputs for inputs in computed if inputs is not None]
+                sources[COMPUTED] = [inputs for inputs in computed if inputs is not None]
             new = [new_readings(target) for target in targets]
             if not any(_tells(target, each, self.longest) for target, each in zip(targets, new, strict=True)):
                 raise RecordingError(
@@ -217,7 +222,8 @@ class DriveTrain(TorchModel):
         ):
             buffer.copy_(torch.as_tensor(value))
         self._folded = None
-        self.config = self.config.model_copy(update={"in_steps": late.get(torque)})
+        found_so = {"in_steps": late.get(torque), "computed_torque": torque == COMPUTED}
+        self.config = self.config.model_copy(update=found_so)
         return {
             "samples": sum(len(piece.target) for piece in pieces),
             "epochs": 1,
@@ -285,7 +291,11 @@ class DriveTrain(TorchModel):
         return Prediction(found[..., 0], found[..., 1:].square().sum(-1).sqrt())
 
     def inputs_along(self, recording: Recording) -> Tensor | None:
-        """Physics steps (T, K, 2 J) of a recording that tells them, where the fit looked at them."""
+        """What the fit looked at, where that is not what was read: physics steps (T, K, 2 J), or (T, 2 J) with the
+        torque that position control asked for. The noise of a torque that is read would be billed to the drives, by
+        weights that were fitted without it. None for a recording that does not tell it."""
+        if self.config.computed_torque:
+            return computed_inputs(self.signals, recording)
         parts = None if self.config.in_steps is None else between_samples(recording, *self.config.in_steps)
         return None if parts is None else torch.from_numpy(np.concatenate(parts, -1)).float()
 

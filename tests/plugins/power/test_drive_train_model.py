@@ -12,6 +12,7 @@ from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import ModelContext, Signals
 from hts.errors import ConfigError, RecordingError
+from hts.measurement.checks import predict
 from hts.recordings.recording import Recording, Series
 from hts_power.drive_train_model import DriveTrainSettings, computed_inputs, kinds, make
 
@@ -110,6 +111,27 @@ def test_noise_of_the_torque_sensor_does_not_make_torque_cheap():
     torque = np.array([[3.0, 0.0, 0.0, 0.0]])
     extra = settled(model, torque, 0 * torque)[0] - settled(model, 0 * torque, 0 * torque)[0]
     assert extra == pytest.approx(9 * COPPER[0], rel=0.15)
+
+
+def test_a_log_is_predicted_from_the_torque_that_was_fitted_to():
+    """Weights of a torque without noise bill the sensor's noise: 3 N·m in four drives are 0.25 A of nothing."""
+    model, report = fitted([walk(seed, noise=3.0) for seed in range(5)])
+    assert report["torque"] == "computed"
+    new = walk(20, "b", noise=3.0)
+    shown = new.values("battery_current").mean()
+    assert predict(model, new).mean() == pytest.approx(shown, abs=0.05)
+    without = new.replace(channels={k: v for k, v in new.channels.items() if k != "joint_target"})
+    assert predict(model, without).mean() == pytest.approx(shown + 9 * COPPER.sum(), abs=0.05)  # all that it tells
+    again = make(model.settings, ModelContext(SIGNALS))  # as a file makes it
+    again.load_tensors(model.tensors())
+    assert predict(again, new) == pytest.approx(predict(model, new))
+
+
+def test_a_log_whose_read_torque_was_fitted_to_is_predicted_from_that():
+    logs = [walk(seed) for seed in range(3)]
+    untold = [one.replace(channels={k: v for k, v in one.channels.items() if k != "joint_target"}) for one in logs]
+    model, report = fitted(untold)
+    assert report["torque"] == "read" and model.inputs_along(walk(20)) is None
 
 
 def test_the_computed_torque_takes_the_firmwares_scale_of_gains_from_the_log():
