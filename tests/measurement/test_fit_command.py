@@ -65,8 +65,8 @@ def test_a_block_held_out_of_a_session_that_was_fitted_to_is_said_beside_the_fig
     assert count == {"held_out": 1, "of": 1}
     figure = next(index for index, line in enumerate(lines) if line.startswith("target heat: R² "))
     assert lines[figure + 1] == (
-        "target heat: what was held out is of a session that was fitted to as well, so held-out R² says little of another "
-        "day and may be lower there. Whole sessions are held out by --split session."
+        "target heat: what was held out is of a session that was fitted to as well, so held-out R² says little of "
+        "another day and may be lower there. Whole sessions are held out by --split session."
     )
     count, lines = said("apart", "monday", "tuesday", "wednesday")
     assert count == {"held_out": 0, "of": 1} and not any("fitted to as well" in line for line in lines)
