@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -64,6 +65,17 @@ def test_a_second_command_does_not_draw_into_the_same_folder(tmp_path, draw):
     assert [path.name for path in (tmp_path / "out").iterdir()] == [".lock"]
     with only_one(tmp_path / "out"):  # what a killed command left is in nobody's way
         assert begun(tmp_path / "out", HEADING) == []
+
+
+def test_a_worker_without_a_display_says_nothing_about_it():
+    """dm_control looks for one when it is imported, and warns."""
+    code = (
+        "from hts.worlds.realities.workers import worker_processes\n"
+        "with worker_processes(1) as pool: pool.submit(exec, 'import dm_control.mjcf').result()"
+    )
+    without = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MUJOCO_GL")}
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=without, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")
 
 
 DAMAGED = {
