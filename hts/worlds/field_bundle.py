@@ -16,6 +16,7 @@ from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import FollowVelocity, Requests, RobotSpec, Task
 from hts.errors import WorldError
+from hts.evaluation.segments import SETTLE_SECONDS
 from hts.policies.deploy import DeployedPolicy
 from hts.policies.exploring import mean_of, seed_of, with_noise
 from hts.policies.gate_notes import refusal
@@ -23,7 +24,6 @@ from hts.policies.proof import unproven
 from hts.recordings.partial import publish
 from hts.worlds.field_holding import instructions as holding
 from hts.worlds.field_manifest import (
-    UNSTEADY_SECONDS,
     WARMUP_SECONDS,
     Facts,
     first_runs,
@@ -97,7 +97,7 @@ def instructions(
         "Logs of one session are recorded on one robot, one after the other, without a pause: "
         + ("policies are swapped " if facts.commands else "swap the policy ")
         + f"while it {'walks' if walks else 'moves'}{'' if facts.commands else ', or as fast as you can'}; the first "
-        f"{UNSTEADY_SECONDS:g} s after a swap are left out later. "
+        f"{SETTLE_SECONDS:g} s after a swap are left out later. "
         + (_by_itself(walks, compared) if facts.commands else _by_yourself(walks, compared))
     )
     policies = (
