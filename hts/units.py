@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import functools
 import re
+from collections.abc import Mapping
 from typing import Any
 
 from hts.errors import RecordingError
@@ -47,8 +48,9 @@ OWN_NAMES = {"1": "dimensionless", "dB(A)": "decibel_A"}
 
 OUR_DEFINITIONS = ("decibel_A = [sound_level_A]",)  # a level, not a factor: 60 dB(A) is no 10^6 of anything here
 
-TRAPS = {"Nm": "N*m"}
-"""What people write -> what they mean. To pint "Nm" is a yarn count, metres per gram."""
+TRAPS = {"Nm": "N*m", "mNm": "mN*m", "amps": "A", "rads": "rad"}
+"""What people write, alone or in a longer unit -> what they mean. To pint "Nm" is a yarn count, metres per gram, "amps"
+are attometres per second, and "rads" a dose of radiation."""
 
 LONGEST = 60  # characters
 # A number is only ever an exponent of one digit or the 1 of "1/s": pint computes what it reads,
@@ -105,7 +107,8 @@ def known(unit: str) -> bool:
 
 def unknown(unit: str) -> str:
     """One line about a unit that is none: the closest one, those that are always there, and how to get others."""
-    close = TRAPS.get(unit) or nearest(unit, UNITS)
+    meant = _words(unit, TRAPS)
+    close = meant if meant != unit else nearest(unit, UNITS)
     hint = f" Did you mean '{close}'?" if close else ""
     shown = "".join(letter if letter.isprintable() else "?" for letter in unit[:LONGEST])
     return (
@@ -118,6 +121,11 @@ def check(unit: str) -> None:
     """Raises RecordingError for a unit that nobody knows."""
     if not known(unit):
         raise RecordingError(unknown(unit))
+
+
+def _words(unit: str, instead: Mapping[str, str]) -> str:
+    """The unit with other words in the place of some of its own."""
+    return re.sub(r"[^\W\d]\w*", lambda word: instead.get(word[0], word[0]), unit)
 
 
 def conversion(source: str, target: str) -> tuple[float, float]:
@@ -201,7 +209,7 @@ def _registry() -> Any:
 def _parsed(unit: str) -> Any:
     """pint's unit of that spelling. Raises RecordingError if it is none."""
     text = OWN_NAMES.get(unit, unit)
-    if not text or len(text) > LONGEST or unit in TRAPS or TOWER.search(text) or not text.isprintable():
+    if not text or len(text) > LONGEST or _words(unit, TRAPS) != unit or TOWER.search(text) or not text.isprintable():
         raise RecordingError(unknown(unit))
     registry = _registry()
     try:

@@ -51,9 +51,22 @@ def test_a_channel_may_not_have_this_unit(unit):
         Channel("x", unit)
 
 
-def test_what_people_write_for_newton_metres_is_no_yarn_count():
-    with pytest.raises(RecordingError, match=r"'Nm'\. Did you mean 'N\*m'"):
-        units.check("Nm")
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("Nm", "N*m"),  # to pint a yarn count, metres per gram
+        ("Nm/rad", "N*m/rad"),
+        ("mNm", "mN*m"),
+        ("amps", "A"),  # to pint attometres per second
+        ("rads", "rad"),  # to pint a dose of radiation
+        ("rads/s", "rad/s"),
+    ],
+)
+def test_what_people_write_is_not_taken_for_what_else_has_that_name(written, meant):
+    with pytest.raises(RecordingError) as caught:
+        units.check(written)
+    assert f"No unit named '{written}'. Did you mean '{meant}'?" in str(caught.value)
+    units.check(meant)
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def command(
     from hts.cli.fit_progress import FitProgress
     from hts.cli.printable import say
     from hts.measurement.fit_command import FitChecks, fit_store
-    from hts.measurement.fit_report import cautions, doubts, session_note, summary_line, table
+    from hts.measurement.fit_report import cautions, doubts, heading, session_note, summary_line, table
     from hts.measurement.split_rule import SplitRule
     from hts.measurement.wanted import Wanted
 
@@ -72,7 +72,7 @@ def command(
         for line in table(report):
             say(line)
     note = session_note(report)
-    beside = [f"{report['target']}: {note}. Whole sessions are held out by --split session."] if note else []
+    beside = [f"{heading(report)}: {note}. Whole sessions are held out by --split session."] if note else []
     for line in (summary_line(report), *beside, *doubts(report), *cautions(report)):
         say(line)
     typer.echo(str(written))

@@ -14,6 +14,7 @@ from typer.main import get_command
 from hts import plugins
 from hts.cli.commands import COMMANDS
 from hts.cli.one_line import one_line
+from hts.cli.values import Command
 from hts.errors import ConfigError, PluginError, unknown_name
 from hts.guarded import guarded
 from hts.plugins import Entry
@@ -98,5 +99,5 @@ def _of_plugin(name: str, entry: Entry) -> Any:
 
 def _from_function(name: str, function: Callable[..., Any]) -> Any:
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
-    app.command(name)(function)
+    app.command(name, cls=Command)(function)
     return get_command(app)

@@ -64,7 +64,7 @@ def command(
     from hts.recordings.commanded import excess, shortfall
     from hts.recordings.drawing import check_picture, draw
     from hts.recordings.mapping import assumed_order, load_mapping
-    from hts.recordings.needs import as_declared, check_mapping, check_measured, in_units_of
+    from hts.recordings.needs import as_declared, check_mapping, check_measured, in_units_of, unjudged
 
     registry = load()
     machine = registry.make_robot(robot)
@@ -100,6 +100,8 @@ def command(
         say(f"{short} If a log was not copied whole, copy and import it again.", err=True)
     if (long := excess(everything)) is not None:
         say(long, err=True)
+    if objectives and (blind := unjudged(everything, machine)) is not None:
+        say(blind, err=True)
     if figure is not None:
         draw(everything, figure)
     none = [[("not stored", "")] * len(recordings) for recordings in read]

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hts.cli.values import Command
+
 if TYPE_CHECKING:
     from hts.config import RunConfig
     from hts.overrides import Override
@@ -60,9 +62,16 @@ NAMES = {"seed": "--seed", "reward_source": "--reward", "start": "--start"}
 """Key of a configuration -> the option above, or of a single command, that gives it: what a message names."""
 
 
-def group(text: str) -> typer.Typer:
+class Group(typer.Typer):
+    """A command that has commands of its own."""
+
+    def command(self, name: str | None = None, **how: Any) -> Any:
+        return super().command(name, **{"cls": Command, **how})
+
+
+def group(text: str) -> Group:
     """A command that has commands of its own; text: of its help."""
-    return typer.Typer(help=text, no_args_is_help=True, add_completion=False, rich_markup_mode=None)
+    return Group(help=text, no_args_is_help=True, add_completion=False, rich_markup_mode=None)
 
 
 def configured(

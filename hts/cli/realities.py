@@ -78,6 +78,17 @@ def draw(
     for path in files:
         typer.echo(str(path))
     typer.echo(accepted(out) if like is None else posterior_like.accepted(out), err=True)
+    typer.echo(f"Drawn with {_taking_part()}.", err=True)
+
+
+def _taking_part() -> str:
+    """The instruments whose parameters are drawn, and the packages they are of."""
+    from hts.plugins import load
+    from hts.worlds.realities.ranges import drawn_parameters, instruments_in
+
+    registry = load()
+    names = instruments_in(drawn_parameters(registry))
+    return ", ".join(f"{name} (from {registry.instruments[name].package})" for name in names) or "no instrument"
 
 
 @app.command()

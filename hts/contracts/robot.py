@@ -134,8 +134,10 @@ class Robot(ABC):
 
     bundle_commands: Sequence[str] = ()
     """What a person types on the robot's computer, in the folder of a deploy bundle, to check it and to do its rows:
-    one command each, in that order, for the bundle's README. By default there is none: the package brings no runtime,
-    and the README says what a runner of one's own has to do."""
+    one command each, in that order, for the bundle's README. What they start warms the robot up, swaps the policies,
+    keeps the heading of rows that ask for no turn, holds speeds where the manifest says so, and, typed again, goes on
+    with the rows that have no log. By default there is none: the package brings no runtime, and the README says what a
+    runner of one's own has to do."""
 
     @abstractmethod
     def mjcf(self) -> Any | None:

@@ -14,6 +14,14 @@ ENDLESS = 60.0
 ROUNDED = 0.01
 """rad: so far may a default pose be outside its range, which is rounded somewhere."""
 
+ABOVE_ZERO = (
+    "torque_limit",  # without one the gate would not look at torques, and a log's would all be beyond it
+    "velocity_limit",
+    "motors.torque_constant",
+    "motors.gear_ratio",
+    "motors.phase_resistance_ohm",
+)
+
 
 def fault_of_spec(spec: RobotSpec) -> str:
     """The first thing that nobody can compute with, in words; empty for none. Policies are made and robots commanded by
@@ -39,10 +47,10 @@ def fault_of_spec(spec: RobotSpec) -> str:
     for joint, (low, high) in zip(spec.joint_names, spec.position_limit, strict=True):
         if low > high:
             return f"spec.position_limit of '{joint}' is {low:g} to {high:g}, expected the lower end first, rad"
-    for name in ("torque_constant", "gear_ratio", "phase_resistance_ohm") if spec.motors is not None else ():
-        for joint, value in zip(spec.joint_names, per_joint[f"motors.{name}"][0], strict=True):
+    for name in filter(per_joint.__contains__, ABOVE_ZERO):
+        for joint, value in zip(spec.joint_names, per_joint[name][0], strict=True):
             if not value > 0:
-                return f"spec.motors.{name} of '{joint}' is {value:g}, expected a number above 0"
+                return f"spec.{name} of '{joint}' is {value:g}, expected a number above 0"
     return _in_degrees(spec) or _of_no_leg(spec) or fault_of_height(spec) or fault_of_times(spec)
 
 

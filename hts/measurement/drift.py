@@ -19,7 +19,7 @@ from hts.recordings.on_schedule import NOT_STATED, command_at
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
 
-UNSTEADY_SECONDS = 2.0
+CHANGING_SECONDS = 2.0
 """After each change of the command: the walk itself is then changing."""
 LEAST_SECONDS = 3.0
 """Of the rest of a stretch, that a drift is seen in."""
@@ -91,7 +91,7 @@ def _stretches(recordings: Sequence[Recording], target: str) -> Iterator[np.ndar
         if one.notes.get("schedule") == NOT_STATED:
             continue
         at, values = command_at(one), one_a_sample(one, target)
-        skip = round(UNSTEADY_SECONDS * one.rate_hz)
+        skip = round(CHANGING_SECONDS * one.rate_hz)
         for command in np.unique(at):
             part = values[at == command][skip:]
             part = part[np.isfinite(part)]

@@ -23,6 +23,11 @@ SHORT_SECONDS = 30.0
 """Less than this held out says little: another half minute may give another R²."""
 
 
+def heading(report: Mapping[str, Any]) -> str:
+    """How each line on a fit begins: a model may have the name of its target, so it says which is meant."""
+    return f"target {report['target']}"
+
+
 def summary_line(report: Mapping[str, Any]) -> str:
     """One line for a person, from the report of `fit_and_check`."""
     held = report["held_out"]
@@ -30,7 +35,7 @@ def summary_line(report: Mapping[str, Any]) -> str:
         fitted = len(report["training"])
         what = "one recording" if fitted == 1 else f"{fitted} recordings, each the only one of a policy that is kept"
         return (
-            f"{report['target']}: fitted to {what}, so none was held out and nothing is known of how well it "
+            f"{heading(report)}: fitted to {what}, so none was held out and nothing is known of how well it "
             "predicts. Import two at least, or hold out its end: --split chronological=0.7"
         )
     proxy = (held["proxy"] or {}).get("smoothed")
@@ -44,7 +49,7 @@ def summary_line(report: Mapping[str, Any]) -> str:
     many = f"{recordings} held-out recording{'s' if recordings > 1 else ''}"
     ranks = f"; rank correlation across {policies} policies {_number(report['rank_correlation'])}"
     return (
-        f"{report['target']}: R² {_number(report['held_out_r2'])}{within} on {many}, "
+        f"{heading(report)}: R² {_number(report['held_out_r2'])}{within} on {many}, "
         f"{held['seconds']:.1f} s scored{against}{ranks if policies > 1 else ''}"
     )
 
@@ -82,7 +87,7 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
 
     report: that of `fit_and_check`.
     """
-    held, target = report["held_out"], report["target"]
+    held, head = report["held_out"], heading(report)
     model = report.get("model") or {}
     found, linear = held["r2"], (held.get("linear") or {}).get("r2")
     linear = None if model.get("name") == "linear" else linear  # whoever chose it is not told to choose it
@@ -91,25 +96,25 @@ def doubts(report: Mapping[str, Any]) -> list[str]:
     explains = linear is not None and linear >= WORSE_THAN_LINEAR  # else there is nothing in it to choose
     if found is not None and linear is not None and explains and linear - found >= WORSE_THAN_LINEAR:
         lines.append(
-            f"{target}: held-out R² {_number(found)} is {_number(linear - found)} below that of `linear`, "
+            f"{head}: held-out R² {_number(found)} is {_number(linear - found)} below that of `linear`, "
             f"{_number(linear)}. {_instead(model, report.get('fit') or {}, report['objective'])}, or record more."
         )
     elif found is not None and found < 0 and not slow:
         lines.append(
-            f"{target}: held-out R² {_number(found)} is below 0: the mean of the data predicts better. Either the "
+            f"{head}: held-out R² {_number(found)} is below 0: the mean of the data predicts better. Either the "
             "inputs do not explain it, or it remembers more than about a second (a temperature does): make a target of "
             "the loss that heats instead, or record more."
         )
     if slow:
-        lines.append(f"{target}: {slow}; {REMEDY}.")
+        lines.append(f"{head}: {slow}; {REMEDY}.")
     line = (held.get("proxy") or {}).get("smoothed") or {}
     if _falls(line):
-        lines.append(_falling(target, f"{line['scale']:.3g}"))
+        lines.append(_falling(head, f"{line['scale']:.3g}"))
     means = (held.get("spread") or {}).get("policies") or []
     times = _times_too_small(means)
     if times > POOR_SPREAD:
         of = f"the means of {len(means)} policies are" if len(means) > 1 else "the mean of the held-out policy is"
-        lines.append(f"{target}: the model's doubt is too small: {of} off by {times:.1f} times what it says.")
+        lines.append(f"{head}: the model's doubt is too small: {of} off by {times:.1f} times what it says.")
     return lines
 
 
@@ -126,10 +131,10 @@ def _falls(line: Mapping[str, Any]) -> bool:
     return (line.get("scale") or 0.0) < 0 and (line.get("r2") or 0.0) >= EXPLAINS
 
 
-def _falling(target: str, found: str) -> str:
+def _falling(head: str, found: str) -> str:
     """The line of a stand-in whose scale is negative; found: that scale, or the whole formula."""
     return (
-        f"{target}: the analytic stand-in fits with a negative scale, {found}: more of it goes with less of "
+        f"{head}: the analytic stand-in fits with a negative scale, {found}: more of it goes with less of "
         "the target. Either the log counts the other way (say sign: -1 when importing), or columns are swapped."
     )
 
@@ -162,7 +167,7 @@ def masked_lines(report: Mapping[str, Any], before: Mapping[str, Any] | None = N
     found, known = report.get("masked") or {}, (before or {}).get("masked") or {}
     if not found.get("samples") or [found.get(key) for key in COUNTS] == [known.get(key) for key in COUNTS]:
         return []
-    return [f"{report['target']}: {told(Masked(**found))}"]
+    return [f"{heading(report)}: {told(Masked(**found))}"]
 
 
 def cautions(report: Mapping[str, Any]) -> list[str]:
@@ -170,17 +175,17 @@ def cautions(report: Mapping[str, Any]) -> list[str]:
 
     report: what `fit_store` writes.
     """
-    held, target, shared = report["held_out"], report["target"], report["shared"]
+    held, head, shared = report["held_out"], heading(report), report["shared"]
     lines = []
     if report["left_out"]:
         reasons = Counter(report["left_out"].values())
         why = "; ".join(f"{count}: {reason}" for reason, count in reasons.items())
         many = f"{len(report['left_out'])} recording{'s' if len(report['left_out']) > 1 else ''}"
-        lines.append(f"{target}: {many} left out, listed in fit.json under `left_out` ({why}).")
+        lines.append(f"{head}: {many} left out, listed in fit.json under `left_out` ({why}).")
     lines += masked_lines(report)
     if shared["held_out"]:
         both = (
-            f"{target}: {shared['held_out']} of {shared['of']} held-out samples are in the recordings to fit to as well"
+            f"{head}: {shared['held_out']} of {shared['of']} held-out samples are in the recordings to fit to as well"
         )
         lines.append(
             f"{both}: {shared['removed']} samples, they and their neighbours, were taken out of the fit."
@@ -189,12 +194,12 @@ def cautions(report: Mapping[str, Any]) -> list[str]:
         )
     if held["recordings"] and held["seconds"] < SHORT_SECONDS:
         lines.append(
-            f"{target}: only {held['seconds']:.1f} s are scored, less than {SHORT_SECONDS:g} s: "
+            f"{head}: only {held['seconds']:.1f} s are scored, less than {SHORT_SECONDS:g} s: "
             "another stretch may give quite another R². Record more to hold out."
         )
     formula: Mapping[str, Any] = next((row for row in report["compared"] if row["name"] == SMOOTHED), {})
     if not held.get("proxy") and _falls(formula):  # of the objective's own `doubts` tells
-        lines.append(_falling(target, formula["detail"]))
+        lines.append(_falling(head, formula["detail"]))
     kept = next(row for row in report["compared"] if row["kind"] == "kept")
     if kept["r2"] is not None:
         better = [row for row in report["compared"] if row["r2"] is not None and row["r2"] > kept["r2"]]
@@ -202,13 +207,13 @@ def cautions(report: Mapping[str, Any]) -> list[str]:
             best = max(better, key=lambda row: row["r2"])
             loses = "loses to" if best["kind"] == "model" else "is no better than a formula: it loses to"
             lines.append(
-                f"{target}: {kept['name']} {loses} {best['name']} on the same split, R² {_number(kept['r2'])} against "
+                f"{head}: {kept['name']} {loses} {best['name']} on the same split, R² {_number(kept['r2'])} against "
                 f"{_number(best['r2'])}."
             )
     lstm = next((row for row in report["compared"] if row["name"] == "lstm" and row["kind"] != "kept"), None)
     if lstm is not None and None not in (lstm["r2"], kept["r2"]) and lstm["r2"] < kept["r2"]:
         lines.append(
-            f"{target}: the LSTM loses to {kept['name']}, R² {_number(lstm['r2'])} against {_number(kept['r2'])}."
+            f"{head}: the LSTM loses to {kept['name']}, R² {_number(lstm['r2'])} against {_number(kept['r2'])}."
         )
     return lines
 

@@ -158,6 +158,23 @@ def check_judged_by(recordings: Iterable[Recording], robot: Robot) -> None:
                 _check_one(recording, "the robot's task is judged by", name, own.get(name))
 
 
+def unjudged(recordings: Sequence[Recording], robot: Robot) -> str | None:
+    """One line about logs without a channel by which the robot's task is judged, though the robot gives it: what they
+    are good for all the same. None where all have it."""
+    task = robot.task()
+    wanted = [name for name in task.channels if name in robot.channels()]
+    without = [one for one in recordings if any(name not in one.channels for name in wanted)]
+    if not without:
+        return None
+    name = next(name for name in wanted if any(name not in one.channels for one in without))
+    who = "the log has" if len(recordings) == 1 else f"{len(without)} of {len(recordings)} recordings have"
+    held = " or holds a speed" if task.can_hold else ""
+    return (
+        f"note: {who} no '{name}', so nothing tells the {task.quantity}. A fit and first data do without it; what "
+        f"compares policies{held} needs it."
+    )
+
+
 def check_rate(recordings: Iterable[Recording], spec: RobotSpec) -> None:
     """Raise RecordingError for a recording of another rate than that at which the robot's policies act: a model that
     was fitted to it would be asked once a control step all the same, and take one for as long as the other."""

@@ -16,6 +16,7 @@ from hts.channels import Channel
 from hts.config import Command, ScheduleConfig
 from hts.contracts import FollowVelocity, Requests, RobotSpec, Task
 from hts.errors import WorldError
+from hts.evaluation.segments import SETTLE_SECONDS
 from hts.policies.deploy import DeployedPolicy
 from hts.policies.exploring import mean_of, seed_of, with_noise
 from hts.policies.gate_notes import refusal
@@ -23,7 +24,6 @@ from hts.policies.proof import unproven
 from hts.recordings.partial import publish
 from hts.worlds.field_holding import instructions as holding
 from hts.worlds.field_manifest import (
-    UNSTEADY_SECONDS,
     WARMUP_SECONDS,
     Facts,
     first_runs,
@@ -92,12 +92,13 @@ def instructions(
     ]
     walks = isinstance(task, FollowVelocity)
     asked = ("speed" if facts.hold else "commanded speed") if walks else "set-point"
+    compared = any(order.role != "collection" for order in orders)
     session = (
-        "Logs of one session are recorded on one robot, one after the other, without a pause: swap the policy "
-        f"while it {'walks' if walks else 'moves'}, or as fast as you can; the first {UNSTEADY_SECONDS:g} s after a "
-        "swap are left out later. "
-        + (_warm_up(walks) if any(order.role != "collection" for order in orders) else "")
-        + (_BY_HAND if walks else "If it fails, begin it again.")
+        "Logs of one session are recorded on one robot, one after the other, without a pause: "
+        + ("policies are swapped " if facts.commands else "swap the policy ")
+        + f"while it {'walks' if walks else 'moves'}{'' if facts.commands else ', or as fast as you can'}; the first "
+        f"{SETTLE_SECONDS:g} s after a swap are left out later. "
+        + (_by_itself(walks, compared) if facts.commands else _by_yourself(walks, compared))
     )
     policies = (
         "Each policy is an ONNX file: input `observation`, output `action`"
@@ -124,7 +125,7 @@ def instructions(
         "",
         policies,
         "",
-        *(holding(facts.hold) if facts.hold else ["## Then", ""]),
+        *(holding(facts.hold, bool(facts.commands)) if facts.hold else ["## Then", ""]),
         f"1. {idle}",
         into(mapping),
         "3. Save the log of row 00 as `logs/00.csv` (or several files in a folder `logs/00/`), and so on.",
@@ -140,17 +141,29 @@ _BEFORE = f"""\
 Everything for one visit to the robot is in this folder: the policies, `manifest.json` (what a robot's computer must
 know of them), `plan.json`, this page. `sha256sum -c {CHECKSUMS}` in this folder says whether it arrived whole."""
 
-_BY_HAND = "Keep the heading by hand. If it falls, look it over, stand it up and go on."
-
 _EXPLORING = """\
 A policy that explores has its noise inside its graph: run it as any other, add none. Each exploring row has a graph of
 its own, so that no two repeat one noise; what it would have done without is in `policies/mean/`."""
 
 
-def _warm_up(walks: bool) -> str:
-    """What is done before policies are compared, as the manifest's `warmup_seconds` says; first data need none."""
+def _by_yourself(walks: bool, compared: bool) -> str:
+    """What is left to a person between the rows. compared: whether policies are; then the robot is warmed up before, as
+    the manifest's `warmup_seconds` says; first data need none."""
     doing = "walking" if walks else "letting it do its task"
-    return f"Warm the robot up first, by {doing} for {WARMUP_SECONDS / 60:g} minutes. "
+    warm_up = f"Warm the robot up first, by {doing} for {WARMUP_SECONDS / 60:g} minutes. " if compared else ""
+    return warm_up + (
+        "Keep the heading by hand. If it falls, look it over, stand it up and go on."
+        if walks
+        else "If it fails, begin it again."
+    )
+
+
+def _by_itself(walks: bool, compared: bool) -> str:
+    """The same where a runtime does the rows, as the contract's `bundle_commands` says of it."""
+    warm_up = f"first warms the robot up for {WARMUP_SECONDS / 60:g} minutes" if compared else ""
+    does = " and ".join(part for part in (warm_up, "keeps the heading" if walks else "") if part)
+    fails = "If it falls, look it over" if walks else "If it fails, look why"
+    return (f"The runtime {does}. " if does else "") + f"{fails}, and type the command again."
 
 
 def _gates(entries: Sequence[Mapping[str, Any]]) -> str:

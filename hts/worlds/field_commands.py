@@ -12,10 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from hts.errors import RecordingError
-from hts.evaluation.segments import BEFORE_FALL_SECONDS, FALLEN_GRAVITY_Z, moments_of_falls
+from hts.evaluation.segments import BEFORE_FALL_SECONDS, FALLEN_GRAVITY_Z, SETTLE_SECONDS, moments_of_falls
 from hts.recordings.on_schedule import samples_at
 from hts.recordings.recording import Recording, noted_seconds
-from hts.worlds.field_manifest import UNSTEADY_SECONDS
 
 CHANNEL = "command"
 SHARE, SPEED, TURN = 0.1, 0.05, 0.1
@@ -36,7 +35,7 @@ def check_sent(file: Path, row: str, recording: Recording) -> None:
     if sent.ndim != 2:
         return
     edges = np.concatenate([[0.0], np.cumsum([command.seconds for command in commands])])
-    steady = noted_seconds(recording, "unsteady_seconds", UNSTEADY_SECONDS)
+    steady = noted_seconds(recording, "unsteady_seconds", SETTLE_SECONDS)
     end = _sound_until(recording)
     for (begin, stop), command in zip(pairwise(edges.tolist()), commands, strict=True):
         start = begin + min(steady, (stop - begin) / 2)
@@ -67,5 +66,5 @@ def _sound_until(recording: Recording) -> float:
     if "projected_gravity" in recording.channels:
         falls += elapsed[recording.values("projected_gravity")[:, 2] > FALLEN_GRAVITY_Z].tolist()[:1]
     if recording.fell and not falls:
-        falls = [end - UNSTEADY_SECONDS]
+        falls = [end - SETTLE_SECONDS]
     return min([fall - BEFORE_FALL_SECONDS for fall in falls], default=end)

@@ -23,8 +23,8 @@ SENSOR = (
 )
 
 
-def instructions(hold: HoldSpeed) -> list[str]:
-    """A section of the bundle's README, in lines."""
+def instructions(hold: HoldSpeed, runtime: bool) -> list[str]:
+    """A section of the bundle's README, in lines. runtime: whether one does the rows, and so what is told here."""
     low, high = hold.commands
     steps = (
         f"1. Before a row marked *trim first*, walk with its policy for {hold.seconds:g} s. Begin with the table's "
@@ -36,6 +36,8 @@ def instructions(hold: HoldSpeed) -> list[str]:
         "4. The log's `command` must hold what was sent: what you froze is read from it."
     )
     about = f"The table's speed is the one to be *measured*. You need {SENSOR}; it is the column of `{SPEED_CHANNEL}`."
+    if runtime:
+        about += " The runtime does the steps below by itself."
     return ["## Hold the speed", "", about, "", steps, "", "## Then", ""]
 
 

@@ -130,7 +130,7 @@ def _idle_levels(
     said = []
     for channel in sorted({name for row in rows for name in recordings[row].idle}):
         levels = {row: recordings[row].idle[channel] for row in rows if channel in recordings[row].idle}
-        low, high = min(levels, key=lambda row: levels[row]), max(levels, key=lambda row: levels[row])
+        low, high = _ends(levels)
         difference = levels[high] - levels[low]
         walking = float(np.mean([_added(recordings[row], channel) for row in levels]))
         if difference <= IDLE_UNSEEN * walking:
@@ -139,13 +139,11 @@ def _idle_levels(
         by_ratio, share = not units.is_temperature(unit), difference / walking if walking > 0 else float("inf")
         apart = _apart(levels[low], levels[high]) if by_ratio else share
         if apart > IDLE_REFUSED:
-            odd, other = _odd_first(levels, low, high)
+            unlike = _unlike(f"channels.{channel}.idle", levels, f" {unit}", names, mappings)
             raise RecordingError(
-                f"{mappings[odd]}: channels.{channel}.idle is {levels[odd]:.4g} {unit} in row {names[odd]}, but "
-                f"{levels[other]:.4g} {unit} in row {names[other]}, with which it is compared; expected at most "
-                f"{IDLE_REFUSED:.0%}{'' if by_ratio else ' of what walking adds to it'} apart, since the difference "
-                f"goes straight into net savings. Measure it once more and walk all rows of session "
-                f"{recordings[odd].session} anew, or, if one of the two was misread, state the level of all rows in "
+                f"{unlike} {IDLE_REFUSED:.0%}{'' if by_ratio else ' of what walking adds to it'} apart, since the "
+                "difference goes straight into net savings. Measure it once more and walk all rows of session "
+                f"{recordings[low].session} anew, or, if one of the two was misread, state the level of all rows in "
                 f"{own}."
             )
         if apart > IDLE_NOTED:
@@ -167,15 +165,30 @@ def _check_mass(
     masses = {row: mass for row in rows if (mass := recordings[row].mass_kg) is not None}
     if not masses:
         return
-    low, high = min(masses, key=lambda row: masses[row]), max(masses, key=lambda row: masses[row])
+    low, high = _ends(masses)
     if _apart(masses[low], masses[high]) > MASS_REFUSED:
-        odd, other = _odd_first(masses, low, high)
+        unlike = _unlike("recording.mass_kg", masses, "", names, mappings)
         raise RecordingError(
-            f"{mappings[odd]}: recording.mass_kg is {masses[odd]:.4g} in row {names[odd]}, but {masses[other]:.4g} in "
-            f"row {names[other]}, with which it is compared; expected at most {MASS_REFUSED:.0%} apart. Weigh the "
-            f"robot as it walks and state that mass in {own}, or, if it carried something in one of them alone, walk "
-            f"all rows of session {recordings[odd].session} anew."
+            f"{unlike} {MASS_REFUSED:.0%} apart. Weigh the robot as it walks and state that mass in {own}, or, if it "
+            f"carried something in one of them alone, walk all rows of session {recordings[low].session} anew."
         )
+
+
+def _ends(found: Mapping[int, float]) -> tuple[int, int]:
+    """The rows of the smallest and of the largest number."""
+    return min(found, key=lambda row: found[row]), max(found, key=lambda row: found[row])
+
+
+def _unlike(what: str, found: Mapping[int, float], unit: str, names: Sequence[str], mappings: Sequence[Path]) -> str:
+    """How a refusal of numbers that are too far apart begins, up to by how much they may be: the row of the two ends
+    that is further from most of the rows, then the other one."""
+    low, high = _ends(found)
+    middle = float(np.median(list(found.values())))
+    odd, other = (low, high) if middle - found[low] > found[high] - middle else (high, low)
+    return (
+        f"{mappings[odd]}: {what} is {found[odd]:.4g}{unit} in row {names[odd]}, but {found[other]:.4g}{unit} in row "
+        f"{names[other]}, with which it is compared; expected at most"
+    )
 
 
 def _added(recording: Recording, channel: str) -> float:
@@ -189,9 +202,3 @@ def _apart(low: float, high: float) -> float:
     if low == high:
         return 0.0
     return (high - low) / smaller if smaller > 0 and low * high > 0 else float("inf")
-
-
-def _odd_first(found: dict[int, float], low: int, high: int) -> tuple[int, int]:
-    """The row of the two that is further from most of the rows, then the other one."""
-    middle = float(np.median(list(found.values())))
-    return (low, high) if middle - found[low] > found[high] - middle else (high, low)

@@ -35,13 +35,13 @@ from hts.config_gate import FirstRunConfig
 from hts.contracts import VELOCITY, FollowVelocity, HoldSpeed, RobotSpec, Task
 from hts.envs.observation import observation_layout
 from hts.errors import PolicyError, WorldError
+from hts.evaluation.segments import SETTLE_SECONDS
 from hts.policies.export import CLIP
 from hts.policies.gate_notes import lost, note_of, place, refusal
 from hts.recordings.unread import LONGEST_SECONDS
 
 SCHEMA, SCHEMA_VERSION = "hts deploy bundle", 1
 WARMUP_SECONDS = 600.0  # of walking before a head-to-head: windings take about that long
-UNSTEADY_SECONDS = 2.0  # after a swap; evaluation leaves them out
 COMMAND = "command"
 PARTS = {
     "angular_velocity": ("rad/s", "of the trunk, in the trunk frame"),
@@ -118,7 +118,7 @@ def manifest(facts: Facts, policies: Sequence[Mapping[str, Any]], rows: Sequence
             "rate_hz": spec.control_rate_hz,
             "target": "default_pose + action_scale * action",
             "action_clip": None,
-            "unsteady_seconds": UNSTEADY_SECONDS,
+            "unsteady_seconds": SETTLE_SECONDS,
         },
         "policies": list(policies),
         "rows": list(rows),

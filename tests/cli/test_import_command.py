@@ -21,7 +21,7 @@ STEPS = np.arange(600)
 def lab(tmp_path, monkeypatch, capsys):
     """lab(*arguments) -> exit code, lines on stdout, lines on stderr; a two-joint machine and its csv are there."""
     limits = {"torque_limit": (20.0, 20.0), "velocity_limit": (30.0, 30.0), "position_limit": ((-3.0, 3.0),) * 2}
-    channels = [Channel("effort", "N*m", (2,)), Channel("rate", "rad/s", (2,))]
+    channels = [Channel("effort", "N*m", (2,)), Channel("rate", "rad/s", (2,)), Channel("base_velocity", "m/s", (3,))]
 
     class Registry:
         robot = LogOnlyRobot(RobotSpec.log_only("hinge", ("hip", "knee"), **limits, rate_hz=50), channels)
@@ -65,6 +65,7 @@ def lab(tmp_path, monkeypatch, capsys):
         captured = capsys.readouterr()
         return code, captured.out.splitlines(), captured.err.splitlines()
 
+    run.channels = mapping["channels"]
     return run
 
 
@@ -80,6 +81,20 @@ def test_a_suggestion_is_printed_and_stores_nothing(lab, tmp_path):
     assert given["channels"]["joint_torque"]["columns"] == "tau_{joint}"
     assert given["channels"]["watts"]["unit"] == "W"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["log.csv", "m.yaml"]
+
+
+def test_an_import_for_an_objective_says_what_logs_without_a_speed_are_not_good_for(lab, tmp_path):
+    code, _, err = lab(*STORE, "--dry-run", "--objective", "cool")
+    said = (
+        "note: the log has no 'base_velocity', so nothing tells the forward speed. A fit and first data do without it;"
+    )
+    assert code == 0 and err == [f"{said} what compares policies or holds a speed needs it."]
+    assert lab(*STORE, "--dry-run")[2] == []  # whoever names no objective asks for nothing
+    rows = (tmp_path / "log.csv").read_text().splitlines()
+    sides = ",vx,vy,vz", *(f",{0.1 * np.sin(s):.3f},{0.1 * np.cos(s):.3f},{0.01 * np.sin(3 * s):.3f}" for s in STEPS)
+    (tmp_path / "log.csv").write_text("\n".join(a + b for a, b in zip(rows, sides, strict=True)) + "\n")
+    speed = {"base_velocity": {"columns": ["vx", "vy", "vz"], "unit": "m/s"}}
+    assert lab(*STORE, "--dry-run", "--objective", "cool", channels={**lab.channels, **speed})[::2] == (0, [])
 
 
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])

@@ -268,6 +268,7 @@ def registry(walks: bool = True) -> Registry:
 def test_hts_evaluate_writes_what_the_world_gave(run_folder):
     result = evaluate_run(run_folder, speeds=[0.5, 0.8], registry=registry())
     assert json.loads((run_folder / "evaluation.json").read_text()) == result
+    assert result["policy"] == "best"  # whose the numbers are, where none was named
     speeds = result["objectives"]["cost"]["speeds"]
     assert [speeds[key]["improvement"] for key in ("0.5", "0.8")] == pytest.approx([0.2, 0.2], abs=1e-3)
     assert len(RecordingStore(run_folder / "evaluation" / "data.zarr").ids()) == 8

@@ -160,6 +160,10 @@ def test_hooks_before_a_commit_fetch_nothing_and_use_the_pinned_tools():
     for hook in configured[0]["hooks"]:
         assert hook["language"] == "system"
         assert hook["entry"].startswith(".venv/bin/"), hook["entry"]
+    (looked_at,) = (hook["files"] for hook in configured[0]["hooks"] if hook["id"] == "changelog")
+    read_here = ("Makefile", ".github/workflows/ci.yml", ".pre-commit-config.yaml", "docs/versions.md", "CITATION.cff")
+    for file in (*read_here, "constraints.txt", "hts/__init__.py", "plugins/power/pyproject.toml", "changelog.d/a.md"):
+        assert re.match(looked_at, file), f"{file} may be changed without a look at this file's tests"
 
 
 def test_a_citation_names_the_paper_of_the_method():

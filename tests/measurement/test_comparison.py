@@ -136,7 +136,7 @@ def test_recordings_of_a_test_store_that_lack_a_channel_are_listed_and_counted(t
     report = fitted(tmp_path, run, checks=FitChecks(test=tests))
     assert len(report["held_out"]["recordings"]) == 1
     assert set(report["left_out"]) == set(RecordingStore(tests).ids()) - set(report["held_out"]["recordings"])
-    told = "heat: 2 recordings left out, listed in fit.json under `left_out` "
+    told = "target heat: 2 recordings left out, listed in fit.json under `left_out` "
     assert cautions(report)[0] == told + "(2: of the test store, has no channel 'heat')."
 
 
@@ -161,7 +161,9 @@ def test_outliers_are_counted_in_the_report(tmp_path):
     bad = r.replace(channels={**r.channels, "heat": Series(HEAT, heat)})
     report = fitted(tmp_path, store_of(tmp_path / "bad.zarr", bad, known_heat(2)))
     assert report["masked"]["samples"] == 1
-    assert cautions(report)[0].startswith("heat: 1 sample that no machine makes left out: 'heat' 1 (such as 1e+07 W)")
+    assert cautions(report)[0].startswith(
+        "target heat: 1 sample that no machine makes left out: 'heat' 1 (such as 1e+07 W)"
+    )
 
 
 # ------------------------------------------------------------------------------------- a target without objective
@@ -182,7 +184,9 @@ def test_a_formula_that_fits_with_a_negative_scale_is_told_with_its_likely_cause
     fit_cli.command(store, tmp_path / "plain", None, "heat", list(INPUTS), split="chronological=0.7")
     (line,) = (line for line in capsys.readouterr().out.splitlines() if "negative scale" in line)
     detail = rows_of(json.loads((tmp_path / "plain" / "fit.json").read_text()))["proxy, smoothed"]["detail"]
-    assert line.startswith(f"heat: the analytic stand-in fits with a negative scale, {detail}: more of it goes with ")
+    assert line.startswith(
+        f"target heat: the analytic stand-in fits with a negative scale, {detail}: more of it goes with "
+    )
     assert "Σ" in line and "sign: -1" in line
     own = fitted(tmp_path, store, checks=FitChecks(split=SplitRule.parsed("chronological=0.7")))
     assert sum("negative scale" in line for line in [*doubts(own), *cautions(own)]) == 1  # not said twice

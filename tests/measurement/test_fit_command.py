@@ -63,10 +63,10 @@ def test_a_block_held_out_of_a_session_that_was_fitted_to_is_said_beside_the_fig
 
     count, lines = said("one", "monday", "monday", "monday")
     assert count == {"held_out": 1, "of": 1}
-    figure = next(index for index, line in enumerate(lines) if line.startswith("heat: R² "))
+    figure = next(index for index, line in enumerate(lines) if line.startswith("target heat: R² "))
     assert lines[figure + 1] == (
-        "heat: what was held out is of a session that was fitted to as well, so held-out R² says little of another day "
-        "and may be lower there. Whole sessions are held out by --split session."
+        "target heat: what was held out is of a session that was fitted to as well, so held-out R² says little of "
+        "another day and may be lower there. Whole sessions are held out by --split session."
     )
     count, lines = said("apart", "monday", "tuesday", "wednesday")
     assert count == {"held_out": 0, "of": 1} and not any("fitted to as well" in line for line in lines)
@@ -160,14 +160,22 @@ def a_report(r2, linear, spread=None):
 @pytest.mark.parametrize(
     ("found", "linear", "expected"),
     [
-        (-0.5, 0.02, "heat: held-out R² -0.500 is below 0"),  # linear explains nothing either, so is nothing to choose
-        (-0.5, -0.2, "heat: held-out R² -0.500 is below 0.*more than about a second.*the loss that heats instead"),
+        (
+            -0.5,
+            0.02,
+            "target heat: held-out R² -0.500 is below 0",
+        ),  # linear explains nothing either, so is nothing to choose
+        (
+            -0.5,
+            -0.2,
+            "target heat: held-out R² -0.500 is below 0.*more than about a second.*the loss that heats instead",
+        ),
         (
             0.5,
             0.75,
-            "heat: held-out R² 0.500 is 0.250 below that of `linear`, 0.750.*--set objectives.warm.model=linear",
+            "target heat: held-out R² 0.500 is 0.250 below that of `linear`, 0.750.*--set objectives.warm.model=linear",
         ),
-        (-0.5, 0.7, "heat: held-out R² -0.500 is 1.200 below that of `linear`, 0.700"),
+        (-0.5, 0.7, "target heat: held-out R² -0.500 is 1.200 below that of `linear`, 0.700"),
     ],
 )
 def test_a_model_that_is_worse_than_nothing_or_than_linear_is_told_with_its_cure(found, linear, expected):
@@ -246,7 +254,7 @@ def test_the_command_prints_what_is_doubtful_after_its_summary(store, tmp_path, 
     fit_cli.command(store.path, tmp_path / "out", "cool", set_=["measurement.epochs=1"])
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("model") and [line.split()[0] for line in lines[1:4]] == ["mean", "proxy", "proxy,"]
-    summary = lines.index(next(line for line in lines if line.startswith("heat: R²")))
+    summary = lines.index(next(line for line in lines if line.startswith("target heat: R²")))
     assert lines[summary + 1] == "doubt of heat" and lines[-1].endswith("fit.json")
 
 
@@ -290,7 +298,7 @@ def test_a_run_says_it_at_its_fit_stage_and_not_again_in_the_next_iteration(tmp_
     monkeypatch.setattr(learning, "fit_and_check", lambda *given, **more: fit_command.FitResult(None, spoilt))
     for iteration in (4, 5):
         results[iteration] = learning.fit(Job, iteration, print)
-    assert Job.said[2:] == ["heat: 1 sample that no machine makes left out: 'heat' 1 (such as 1e+06 W)."]
+    assert Job.said[2:] == ["target heat: 1 sample that no machine makes left out: 'heat' 1 (such as 1e+06 W)."]
 
 
 def test_a_run_says_what_its_fit_left_out_and_again_where_new_recordings_have_more_of_it():
@@ -299,11 +307,11 @@ def test_a_run_says_what_its_fit_left_out_and_again_where_new_recordings_have_mo
         return a_report(0.9, 0.9) | {"masked": {"samples": samples, "short": short, "why": why}}
 
     (line,) = fit_report.masked_lines(fitted(3))
-    assert line == "heat: 3 samples that no machine makes left out: 'heat' 3 (such as 1e+06 W)."
+    assert line == "target heat: 3 samples that no machine makes left out: 'heat' 3 (such as 1e+06 W)."
     assert fit_report.masked_lines(fitted(0)) == fit_report.masked_lines(a_report(0.9, 0.9)) == []
     assert fit_report.masked_lines(fitted(3), fitted(3)) == []
     (line,) = fit_report.masked_lines(fitted(4, 20), fitted(3))
-    assert line.startswith("heat: 4 samples that no machine makes left out, and 20 in parts shorter than 1 s")
+    assert line.startswith("target heat: 4 samples that no machine makes left out, and 20 in parts shorter than 1 s")
 
 
 # --------------------------------------------------------------------------------------- a model that goes wrong

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from hts.errors import PluginError
-from hts.measurement.checks import predict
+from hts.measurement.checks import predict, predict_with_spread
 from hts.measurement.linear import Linear, LinearSettings
 from hts.testing.known_signals import SIGNALS
 from hts.testing.known_signals import known_heat as recording
@@ -49,6 +49,12 @@ def mean(function):
 def test_no_prediction_is_no_score(change, said):
     with pytest.raises(PluginError, match=rf"^Measurement model 'Changed': sequence\(\).*{said}"):
         predict(model(change), recording(3))
+
+
+def test_a_model_may_be_sure_of_what_it_predicts():
+    """A standard deviation of 0 is none below 0."""
+    sure = predict_with_spread(model(lambda found: found._replace(std=torch.zeros_like(found.mean))), recording(3))[1]
+    assert sure is not None and not sure.any()
 
 
 def test_a_sound_one_is_scored():

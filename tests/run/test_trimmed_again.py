@@ -108,6 +108,29 @@ def test_nothing_is_walked_again_that_does_not_fit_into_the_real_samples(room, t
     assert (len(good), len(vain)) == (4, 2 * tries)
 
 
+def test_tries_are_counted_on_and_what_was_walked_in_vain_is_told_apart():
+    """Asked for the second time already, 10 s long: two more are the third and the fourth, of 20 and 40 s. 0.5 m/s are
+    found with 40 s, 0.8 m/s at once."""
+    world, holds = World(40.0), []
+
+    def ask(hold, speeds):
+        holds.append((hold.seconds, hold.again, tuple(speeds)))
+        world.hold_speed(hold)
+        return world.head_to_head("policy", "reference", speeds)
+
+    def missed(recordings):
+        return sorted({one.schedule.commands[0].vx for one in recordings if one.apart})
+
+    hold = HoldSpeed((0.2, 1.5), 10.0, again=2)
+    first = ask(hold, (0.5, 0.8))
+    good, vain = walked_again(first, hold, 2, missed, ask)
+    assert holds[1:] == [(20.0, 3, (0.5,)), (40.0, 4, (0.5,))]
+    assert good[:2] == first[2:] and [one.robot_samples for one in good] == [500, 500, 2000, 2000]
+    assert vain[:2] == first[:2] and [one.robot_samples for one in vain] == [500, 500, 1000, 1000]
+    assert walked_again(good, hold, 2, missed, ask) == (good, [])  # nothing is missed, nobody is asked
+    assert walked_again(first, hold, 0, missed, ask) == (first, []) and len(holds) == 3
+
+
 def too_fast_at_first(monkeypatch):
     """Every policy goes 20 % too fast the first time that 0.8 m/s are to be held."""
     plain = KnownWorld._recording

@@ -219,6 +219,11 @@ def settings(given: str) -> dict[str, str]:
 OTHER_UNIT = "signals = replace(signals, target=Channel(signals.target.name, 'V')); " + MADE
 
 
+def test_the_fit_whose_scale_is_judged_may_take_its_time(install):
+    limit = "if how['epochs'] > 1 and how['max_seconds'] < 1e9: raise ValueError('a limit of time')"
+    assert faults(install, **fit(before=limit)) == []
+
+
 @pytest.mark.parametrize(
     ("broken", "fault"),
     [

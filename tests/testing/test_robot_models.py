@@ -173,6 +173,14 @@ SPECS = {
     "one number too few": ({"kd": (0.5,) * 11}, "spec.kd has 11 entries for 12 joints"),
     "a range that is one number": ({"position_limit": (0.8,) * 12}, "spec.position_limit of 'LF_HAA' is 0.8, expected"),
     "text": ({"torque_limit": ("40 N*m",) * 12}, "spec.torque_limit of 'LF_HAA' is '40 N*m', expected a number, N·m"),
+    "a torque limit of nothing": (
+        {"torque_limit": (40.0,) * 11 + (0.0,)},
+        "spec.torque_limit of 'RH_KFE' is 0, expected a number above 0",
+    ),
+    "a speed limit below 0": (
+        {"velocity_limit": (-20.0,) * 12},
+        "spec.velocity_limit of 'LF_HAA' is -20, expected a number above 0",
+    ),
     "degrees": (
         {"default_pose": (0.0, 45.0, -90.0) * 4},
         "spec.default_pose of 'LF_HFE' is 45, expected at most 10 rad (write rad, not degrees)",

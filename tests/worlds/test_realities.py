@@ -22,7 +22,7 @@ from hts.worlds.realities.check import Tried, Verdict, check
 from hts.worlds.realities.draw import draw
 from hts.worlds.realities.posterior import narrowed, reasons
 from hts.worlds.realities.quick import standing_values
-from hts.worlds.realities.ranges import drawn_parameters, switches, table
+from hts.worlds.realities.ranges import drawn_parameters, instruments_in, switches, table
 from hts.worlds.twin.model import build
 from hts.worlds.twin.parameters import TwinSettings
 from hts.worlds.twin.reality import Reality, known_names, locate, read, sha256
@@ -127,7 +127,7 @@ def test_a_plugins_instrument_brings_its_own_parameters(install):
     install("hts_heat", {"hts_heat": source}, {"heat": "hts_heat"})
     found = drawn_parameters(plugins.load())
     assert {"instruments.thermometer.zero", "instruments.thermometer.drifts"} <= {one.key for one in found}
-    assert "drift" in switches(found)
+    assert "drift" in switches(found) and instruments_in(found)[-1] == "thermometer"
     values = [draw(found, "x", index).values for index in range(20)]
     assert all(-1 <= one["instruments.thermometer.zero"] <= 1 for one in values)
     assert {one.get("instruments.thermometer.drifts", False) for one in values} == {True, False}

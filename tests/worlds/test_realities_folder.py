@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from hts.policies.files import load_policy
 from hts.worlds.realities import batch, population
 from hts.worlds.realities.folder import begun, draws_of, only_one
 from hts.worlds.realities.like import Likeness
+from hts.worlds.twin.reality import Reality
 
 pytest.importorskip("hts_go1", reason="the draws of this test are of it")
 DRAWS = Path(__file__).parents[2] / "docs" / "results" / "realities" / "draws.jsonl"
@@ -63,6 +65,17 @@ def test_a_second_command_does_not_draw_into_the_same_folder(tmp_path, draw):
     assert [path.name for path in (tmp_path / "out").iterdir()] == [".lock"]
     with only_one(tmp_path / "out"):  # what a killed command left is in nobody's way
         assert begun(tmp_path / "out", HEADING) == []
+
+
+def test_a_worker_without_a_display_says_nothing_about_it():
+    """dm_control looks for one when it is imported, and warns."""
+    code = (
+        "from hts.worlds.realities.workers import worker_processes\n"
+        "with worker_processes(1) as pool: pool.submit(exec, 'import dm_control.mjcf').result()"
+    )
+    without = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MUJOCO_GL")}
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=without, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")
 
 
 DAMAGED = {
@@ -142,3 +155,26 @@ def test_draws_of_a_robot_that_falls_are_not_begun(tmp_path, capsys, monkeypatch
     said = capsys.readouterr().err
     assert "fell at 0.8 m/s on the default twin" in said and "--like STORE" in said and said.count("\n") == 1
     assert len((out / "draws.jsonl").read_text().splitlines()) == 1  # the heading
+
+
+def test_a_draw_ends_with_the_instruments_that_took_part_and_their_packages(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(batch, "check_walks", lambda *given: None)
+    reality = Reality(name="", robot="go1", seed="s", index=0, switches=(), parameters={}).model_dump_json()
+    kept = {"index": 0, "kept": True, "why": "", "values": {}}
+    monkeypatch.setattr(batch, "_in_order", lambda *given: iter([(kept, reality)]))
+    words = ["--count", "1", "--seed", "s", "--robot", "go1", "--out", str(tmp_path / "out")]
+    assert main(["realities", "draw", *words]) == 0
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said == "Drawn with battery_gauge (from hard-to-sim-power), microphone (from hard-to-sim-noise)."
+
+
+def test_a_folder_that_other_instruments_had_a_part_in_is_not_gone_on_with(tmp_path):
+    assert begun(tmp_path, {**HEADING, "ranges_sha256": "aa"}, ["meter"]) == []
+    assert begun(tmp_path, {**HEADING, "ranges_sha256": "aa"}, ["meter"]) == []
+    with pytest.raises(RunError) as caught:
+        begun(tmp_path, {**HEADING, "ranges_sha256": "bb"}, ["meter", "thermometer"])
+    assert str(caught.value) == (
+        f"{tmp_path}/draws.jsonl: was begun with other ranges (ranges_sha256 aa, now bb): of another version, or with "
+        "other instruments than are installed here, meter, thermometer. Go on where it was begun, or choose another "
+        "folder with --out."
+    )

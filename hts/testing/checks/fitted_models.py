@@ -76,9 +76,12 @@ def fit_as_in_a_run(
     epochs: int = 1,
     progress: Progress = _nobody_is_told,
     warm_start: MeasurementModel | None = None,
+    max_seconds: float = 600.0,
 ) -> dict[str, Any]:
-    """Its report; `fit` is given all that its contract names."""
-    return model.fit(recordings, seed=0, epochs=epochs, max_seconds=600.0, progress=progress, warm_start=warm_start)
+    """Its report; `fit` is given all that its contract names. max_seconds: as a run has it, unless another is said."""
+    return model.fit(
+        recordings, seed=0, epochs=epochs, max_seconds=max_seconds, progress=progress, warm_start=warm_start
+    )
 
 
 def of_known_scale(context: ModelContext, recordings: Sequence[Recording], spread: float) -> list[Recording]:

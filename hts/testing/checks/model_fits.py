@@ -182,12 +182,12 @@ def counts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None
 def predicts_in_deviations_of_the_target(entry: Entry, registry: Registry) -> None:
     """Its predictions along the recordings that it was fitted to are in standard deviations: about 0 ± 1."""
     # As its recordings are, and of a target that follows the inputs and varies much in its unit. The second fit makes
-    # EPOCHS passes, and has no time limit of its own: a slow machine would judge a model that was trained less.
+    # EPOCHS passes, and has no time limit: a slow machine would judge a model that was trained less.
     model = fitted_model(entry, registry)
     context, recordings = context_for(entry, registry)
     _about_one(model, context, _along(model, context, recordings))
     model, known = registry.make_measurement_model(entry.name, {}, context), of_known_scale(context, recordings, SPREAD)
-    fit_as_in_a_run(model, known, epochs=EPOCHS)
+    fit_as_in_a_run(model, known, epochs=EPOCHS, max_seconds=math.inf)
     along = _along(model, context, known)
     _about_one(model, context, along)
     predicted, target = along

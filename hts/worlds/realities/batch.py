@@ -27,7 +27,7 @@ from hts.plugin_settings import in_full
 from hts.worlds.realities.check import Tried, Verdict, check, fallen_at
 from hts.worlds.realities.draw import Draw, draw
 from hts.worlds.realities.folder import LINES, begun, only_one
-from hts.worlds.realities.ranges import drawn_parameters, ranges_sha256
+from hts.worlds.realities.ranges import drawn_parameters, instruments_in, ranges_sha256
 from hts.worlds.realities.workers import worker_processes
 from hts.worlds.twin.parameters import MACHINE, TwinSettings
 from hts.worlds.twin.reality import Reality, read
@@ -143,15 +143,16 @@ def draw_many(
 ) -> list[Path]:
     """Files of the realities that were kept, as many as asked for. Goes on with what the folder holds already; first:
     called where it holds no draw."""
+    parameters = drawn_parameters(plugins.load())
     heading = {
         "format": 1,
         "seed": asked.seed,
         "robot": asked.robot,
         "name": asked.name,
-        "ranges_sha256": ranges_sha256(drawn_parameters(plugins.load())),
+        "ranges_sha256": ranges_sha256(parameters),
     }
     with only_one(folder):
-        lines = begun(folder, heading)
+        lines = begun(folder, heading, instruments_in(parameters))
         files = [folder / f"{asked.name}-{number:02d}.json" for number in range(asked.count)]
         kept = sum(line["kept"] for line in lines)
         for there in files[:kept]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,9 +45,10 @@ def only_one(folder: Path) -> Iterator[None]:
         yield
 
 
-def begun(folder: Path, heading: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Lines so far of a folder with this heading, begun if it is empty. A line that was cut off is drawn again. Raises
-    RunError for a folder of others, or a damaged one."""
+def begun(folder: Path, heading: Mapping[str, Any], instruments: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """Lines so far of a folder with this heading, begun if it is empty. A line that was cut off is drawn again.
+    instruments: that are drawn here, whose ranges are part of `ranges_sha256`. Raises RunError for a folder of others,
+    or a damaged one."""
     _check_free(folder)
     path = folder / LINES
     if not path.exists():
@@ -59,6 +60,12 @@ def begun(folder: Path, heading: Mapping[str, Any]) -> list[dict[str, Any]]:
     if "like" in other:
         had = "other figures of a robot, or another --discrepancy" if "like" in found else "the public facts"
         raise RunError(f"{path}: was begun with {had}. Choose another folder with --out.")
+    if "ranges_sha256" in other:
+        raise RunError(
+            f"{path}: was begun with other ranges (ranges_sha256 {found.get('ranges_sha256')}, now "
+            f"{heading.get('ranges_sha256')}): of another version, or with other instruments than are installed here, "
+            f"{', '.join(instruments) or 'none'}. Go on where it was begun, or choose another folder with --out."
+        )
     if other:
         raise RunError(
             f"{path}: was begun with another {other[0]} ({found.get(other[0])}, now {heading.get(other[0])}). "

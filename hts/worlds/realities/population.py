@@ -30,7 +30,7 @@ from hts.worlds.realities.draw import rng_of
 from hts.worlds.realities.folder import LINES, begun, damaged, only_one, rows_of
 from hts.worlds.realities.like import Likeness
 from hts.worlds.realities.misfit import free_distance, measured_of, misfit
-from hts.worlds.realities.ranges import drawn_parameters, ranges_sha256
+from hts.worlds.realities.ranges import drawn_parameters, instruments_in, ranges_sha256
 from hts.worlds.realities.sampler import Found, Particle
 from hts.worlds.realities.space import Space
 from hts.worlds.realities.workers import worker_processes
@@ -140,7 +140,7 @@ def draw_like(
     budget: simulations at most, over all calls; None: no bound. Raises RunError where it was not enough; called again
     with a larger one, or a larger `within`, it goes on.
     """
-    registry = plugins.load()
+    parameters = drawn_parameters(plugins.load())
     heading = {
         "format": FORMAT,
         "seed": asked.seed,
@@ -148,11 +148,11 @@ def draw_like(
         "name": asked.name,
         "size": asked.size,
         "steps": asked.steps,
-        "ranges_sha256": ranges_sha256(drawn_parameters(registry)),
+        "ranges_sha256": ranges_sha256(parameters),
         "like": asked.like.model_dump(mode="json"),
     }
     with only_one(folder):
-        lines = begun(folder, heading)
+        lines = begun(folder, heading, instruments_in(parameters))
         generations = generations_of(lines, asked.size)
         rest = lines[len(generations) * asked.size :]
         while not generations or not _agrees(generations[-1], within):

@@ -86,6 +86,12 @@ def switches(parameters: list[Drawn]) -> list[str]:
     return list(dict.fromkeys(one.switch for one in parameters if one.switch is not None))
 
 
+def instruments_in(parameters: list[Drawn]) -> list[str]:
+    """Names of the instruments that are drawn: of every installed plugin, and each changes what is kept."""
+    sections = [one.key.split(".") for one in parameters]
+    return list(dict.fromkeys(section[1] for section in sections if section[0] == "instruments"))
+
+
 def ranges_sha256(parameters: list[Drawn]) -> str:
     """Of all that decides a draw: another hash, other realities from the same seed."""
     rows = [(p.key, p.low, p.high, p.switch, p.whole, p.boolean, p.counts, p.ascending) for p in parameters]

@@ -257,3 +257,23 @@ def test_the_development_realities_sound_different():
     pytest.importorskip("hts_go1", reason="the realities come with this robot")
     steps = [read(f"dev-{index:02d}").parameters["instruments"]["microphone"]["step_level"] for index in range(16)]
     assert len(set(steps)) == 16 and max(steps) - min(steps) > 5.0  # dB(A)
+
+
+def test_steps_that_come_at_once_are_each_taken_once_and_in_their_order(spec):
+    """150 of them behind three single ones, with chunks of 64: parts of 61, 64 and 25."""
+    rng, worlds, steps = np.random.default_rng(0), 2, 153
+    joints, feet = (steps, worlds, spec.num_joints), (steps, worlds, len(spec.foot_sites))
+    force = 50.0 * (rng.random(feet) < 0.1)
+    samples = PhysicsSample(
+        rng.normal(0, 8, joints), rng.normal(0, 5, joints), force, rng.random(feet), rng.uniform(0.4, 0.7, feet), DT
+    )
+    several, single = microphone(spec, worlds), microphone(spec, worlds)
+    for step in range(steps):
+        single.step(samples.at(step))
+    for step in range(3):
+        several.step(samples.at(step))
+    rest = (samples.motor_torque, samples.joint_velocity, samples.foot_force, samples.foot_speed, samples.foot_mass)
+    several.advance(PhysicsSample(*(values[3:] for values in rest), DT))
+    assert several.read()["sound_level"].tolist() == single.read()["sound_level"].tolist()
+    assert several.steps.tolist() == single.steps.tolist() and several.steps.min() > 3
+    assert several.seconds == pytest.approx(0.153)

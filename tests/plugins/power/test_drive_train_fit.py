@@ -128,3 +128,31 @@ def test_what_is_expected_are_copper_loss_and_work_and_how_far_drives_are_from_i
     assert spread[len(KIND)] == pytest.approx(0.29, abs=0.01)  # of what is generated nobody knows the use
     nothing = expected(KIND, size, None)
     assert np.sqrt(nothing.covariance[0, 0]) == pytest.approx(10 * np.sqrt(prior.covariance[0, 0]))
+
+
+@pytest.mark.parametrize(
+    ("residuals", "expected"),
+    [
+        # Of blocks of two: 2 · 1² and 2 · 2², 5 in the mean. The last reading is of no whole block. Of the recording:
+        # 5 · 0.4² = 0.8; of each reading: (1 + 1 + 4 + 4) / 5 = 2.
+        ([[1, 1, -2, -2, 0]], 5.0),
+        # What is no reading counts for nothing: blocks 1 · 1² and 2 · 2², 4.5 in the mean.
+        ([[1, None, -2, -2]], 4.5),
+        # Nor does a block without a reading: 2 · 2² of the other one.
+        ([[None, None, -2, -2]], 8.0),
+        # Each recording has a level of its own: 4 · 1² of each, blocks 2 · 1².
+        ([[1, 1, 1, 1], [-1, -1, -1, -1]], 4.0),
+        # Readings that have nothing to do with each other: (1 + 9) / 2; of the block 2 · 1² = 2.
+        ([[-1, 3]], 5.0),
+        # One that is shorter than a block is one.
+        ([[3]], 9.0),
+    ],
+)
+def test_the_variance_is_of_readings_as_if_each_had_its_own(residuals, expected):
+    """Weights and level are 0, so the residuals are the targets."""
+    drives = Drives(drawn(0), None)
+    logs = []
+    for one in residuals:
+        target = np.array([0.0 if value is None else value for value in one], dtype=float)
+        logs.append((np.zeros((len(one), SIZE)), target, np.array([value is not None for value in one])))
+    assert drives._variance(logs, block=2, longest=0) == pytest.approx(expected)

@@ -328,6 +328,9 @@ def test_exact_readings_carry_the_bus_power_whatever_the_gauge_shows():
     levels = bad.exact_idle()
     assert levels["battery_current"] * levels["battery_voltage"] == pytest.approx(bad.p.idle_power)
     assert bad.exact_idle() == plain.exact_idle() and bad.idle() != plain.idle()
+    perfect = gauge(gain_error=0.0, offset=0.0, state_of_charge=0.9)
+    assert perfect.exact_idle() == perfect.idle()
+    assert perfect.exact_idle()["battery_voltage"] > plain.exact_idle()["battery_voltage"]  # at 0.8, the default
 
 
 def test_before_anything_has_passed_the_exact_reading_is_that_of_idling():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -20,8 +21,8 @@ from hts.recordings.reading import read_log
 from hts_go1_runtime.link import NOTHING, Command
 from hts_go1_runtime.machine import STAND
 from hts_go1_runtime.udp import UdpLink
-from hts_go1_stand_in.__main__ import main
 from hts_go1_stand_in.body import PATIENCE, STATE_SECONDS, Body
+from hts_go1_stand_in.cli import main
 from hts_go1_stand_in.line import Line
 from hts_go1_stand_in.serve import _obey
 
@@ -142,7 +143,7 @@ def test_a_runtime_that_comes_after_another_is_not_kept_waiting_for_its_answer()
 
 LOADED = """
 import sys
-from hts_go1_stand_in.__main__ import ready
+from hts_go1_stand_in.cli import ready
 body = ready("dev-03", ["power"], 0)
 before = set(sys.modules)
 for number in range(20):
@@ -218,6 +219,33 @@ def test_in_lockstep_two_visits_with_one_seed_give_one_log(bundle):
             path.unlink()
     assert len(tables[0]) == 50
     assert tables[0] == tables[1]
+
+
+INTERRUPTED = """
+import os, runpy, signal, sys
+class Stop:
+    def find_spec(self, name, path=None, target=None):
+        if name == "hts_go1_stand_in.body" and "while it loads" in sys.argv: os.kill(os.getpid(), signal.SIGINT)
+signal.signal(signal.SIGINT, signal.default_int_handler)  # the suite may ignore it
+sys.meta_path.insert(0, Stop())
+runpy.run_module("hts_go1_stand_in", run_name="__main__", alter_sys=True)
+"""
+
+
+def test_ctrl_c_ends_it_without_a_traceback():
+    """Nor a warning that there is no display."""
+    without = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "MUJOCO_GL")}
+    environment = {**without, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
+    command = [sys.executable, "-c", INTERRUPTED, "--port", "0", "--reality", "dev-03"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "env": environment}
+    with subprocess.Popen(command, **pipes) as robot:
+        assert robot.stdout.readline().startswith("ready on ")
+        robot.send_signal(signal.SIGINT)
+        assert robot.communicate(timeout=60) == ("0 falls, 0.0 s, 0 packets lost, 0 late\n", "")
+        assert robot.returncode == 0
+    with subprocess.Popen([*command, "while it loads"], **pipes) as robot:
+        assert robot.communicate(timeout=60) == ("", "")
+        assert robot.returncode == 130
 
 
 @pytest.mark.parametrize(
