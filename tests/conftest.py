@@ -95,28 +95,34 @@ class SmallRun:
         return summary
 
 
+ONE_BOUND = ("--set", "sweep.kl_bounds=[1.0]")
 SMALL = (
-    *("--set", "collection.exploring=1", "--set", "measurement.epochs=1"),
-    *("--set", "sweep.kl_bounds=[1.0]", "--set", "finetune.num_envs=2"),
+    *("--set", "collection.exploring=1", "--set", "measurement.epochs=1", "--set", "finetune.num_envs=2"),
     *("--set", "simulation_test.num_envs=2", "--set", "simulation_test.seconds=3"),
     *("--set", "selection.elites=1", "--set", "evaluation.bootstrap=100"),
 )
-"""Less of everything than the preset `smoke` has."""
-SMALL_TWIN = (
+"""Less of everything than the preset `smoke` has, but for its KL bounds."""
+SHORT_BLOCKS = (
     *("--set", "world.block_seconds=3", "--set", "world.warmup_seconds=1", "--set", "world.unsteady_seconds=1"),
-    *SMALL,
 )
+SMALL_TWIN = (*SHORT_BLOCKS, *SMALL, *ONE_BOUND)
 SMALL_RUN = (
     *("run", "--objective", "power", "--robot", "go1", "--preset", "smoke"),
     *("--set", "sweep.weights.power=[1.0, 5.0]", *SMALL_TWIN),
 )
 """A run that does everything once, in seconds: 2 candidates, 1 elite, head-to-heads of 12 s."""
+SMALL_ORACLE = (
+    *("oracle", "--objective", "power", "--robot", "go1", "--preset", "smoke", "--steps", "48"),
+    *("--set", "world.reality=dev-03", "--set", "sweep.weights.power=[1.0]", "--set", "finetune.ppo.horizon=12"),
+    *(*SHORT_BLOCKS, *SMALL),
+)
+"""The same of `hts oracle`, on a drawn reality and of one candidate."""
 
 
 @pytest.fixture(scope="session")
 def small() -> Callable[[str], tuple[str, ...]]:
     """small("twin"): settings of `hts run --preset smoke` in that world, for tests that try no sizes."""
-    return lambda world: SMALL_TWIN if world == "twin" else SMALL
+    return lambda world: SMALL_TWIN if world == "twin" else (*SMALL, *ONE_BOUND)
 
 
 @pytest.fixture(scope="session")
@@ -124,21 +130,36 @@ def small_run(tmp_path_factory: pytest.TempPathFactory) -> SmallRun:
     """The run that tests copy and break. Workers of one session wait for each other and share it."""
     pytest.importorskip("hts_go1", reason="the robot of this run is not installed")
     pytest.importorskip("hts_power", reason="the objective of this run is not installed")
+    return made_once(tmp_path_factory, "small-run", SMALL_RUN)
+
+
+@pytest.fixture(scope="session")
+def oracle_run(tmp_path_factory: pytest.TempPathFactory) -> SmallRun:
+    """The same of `hts oracle`; what it printed is in printed.txt beside its folder."""
+    pytest.importorskip("hts_go1", reason="the robot of this run comes with it")
+    pytest.importorskip("hts_power", reason="the objective of this run comes with it")
+    return made_once(tmp_path_factory, "oracle-run", SMALL_ORACLE)
+
+
+def made_once(tmp_path_factory: pytest.TempPathFactory, name: str, command: tuple[str, ...]) -> SmallRun:
+    """The run that this command makes, by the first worker of the session that asks; the others wait for it."""
     workers = "PYTEST_XDIST_WORKER" in os.environ
     place = tmp_path_factory.getbasetemp().parent if workers else tmp_path_factory.getbasetemp()
-    folder = place / "small-run"
-    with (place / "small-run.lock").open("w") as lock:
+    folder = place / name / "run"
+    folder.parent.mkdir(exist_ok=True)
+    with (place / f"{name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not (folder / "report.html").exists():
             done = subprocess.run(
-                [sys.executable, "-m", "hts.cli.main", *SMALL_RUN, "--out", str(folder)],
+                [sys.executable, "-m", "hts.cli.main", *command, "--out", str(folder)],
                 capture_output=True,
                 text=True,
                 timeout=280,
                 check=False,
             )
             assert done.returncode == 0, done.stderr
-    return SmallRun(folder, SMALL_RUN)
+            folder.with_name("printed.txt").write_text(done.stdout)
+    return SmallRun(folder, command)
 
 
 @pytest.fixture

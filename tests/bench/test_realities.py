@@ -350,15 +350,19 @@ def test_the_commit_is_what_is_said_else_what_git_says(command, monkeypatch, tmp
         command.commit_of(None)
 
 
+def test_hts_takes_what_a_batch_types_for_an_oracle(tmp_path, hts_here):
+    (made,) = jobs(methods=["oracle"], realities=["dev-03"])
+    done = hts_here(*made.arguments, "--out", tmp_path / "run", "--dry-run")
+    assert done.returncode == 0 and "oracle: saw inside the reality" in done.stdout, done.stderr + done.stdout
+
+
 @pytest.mark.slow
-@pytest.mark.timeout(600)
-def test_a_tiny_oracle_gets_a_line_that_says_what_it_is(tmp_path):
-    small = ["finetune.steps=48", "finetune.num_envs=4", "finetune.ppo.horizon=12", "sweep.weights.power=[1.0]"]
-    small += ["simulation_test.num_envs=2", "simulation_test.seconds=3", "world.block_seconds=3"]
-    made = jobs(methods=["oracle"], realities=["dev-03"], settings=small)
-    slots, lines = Slots([Slot(tuple(sorted(os.sched_getaffinity(0))), "")]), tmp_path / "lines.jsonl"
-    to = Target(lines, "b")
-    assert run_batch(made, slots, folders=tmp_path / "runs", target=lambda _: to, known=[]) == 0
+def test_an_oracle_gets_a_line_that_says_what_it_is(tmp_path, oracle_run):
+    copies = "import shutil, sys; shutil.copytree(sys.argv[1], sys.argv[-1])"
+    made, lines = jobs(methods=["oracle"], realities=["dev-03"]), tmp_path / "lines.jsonl"
+    to, program = Target(lines, "b"), (sys.executable, "-c", copies, str(oracle_run.folder))
+    slots = Slots([Slot(tuple(sorted(os.sched_getaffinity(0))), "")])
+    assert run_batch(made, slots, folders=tmp_path / "runs", target=lambda _: to, known=[], program=program) == 0
     (found,) = read_lines([lines])
     assert found.result.note == "oracle: saw inside the reality; no method"
     assert found.result.tried[0].kl_bound is None and found.result.candidates == 1

@@ -24,17 +24,16 @@ TINY = [
 
 
 @pytest.mark.slow
-def test_a_tiny_oracle_ends_with_a_summary_that_says_what_it_is(tmp_path, capfd):
-    run = tmp_path / "run"
-    assert main(["oracle", *TINY, "--out", str(run)]) == 0
-    assert NOTE in capfd.readouterr().out
+def test_an_oracle_ends_with_a_summary_that_says_what_it_is(oracle_run, capsys):
+    run = oracle_run.folder
+    assert NOTE in run.with_name("printed.txt").read_text()
     summary = json.loads((run / "summary.json").read_text())
     assert (summary["note"], summary["reward_source"]) == (NOTE, "oracle")
     (candidate,) = summary["iterations"][0]["candidates"]
     assert candidate["kl_bound"] is None and candidate["elite"]
     assert NOTE in (run / "report.html").read_text() and "No method." in (run / "report.html").read_text()
     assert main(["oracle", *TINY, "--out", str(run)]) != 0
-    assert "holds a run already" in capfd.readouterr().err
+    assert "holds a run already" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 
 import mujoco
@@ -14,10 +15,14 @@ from hts.sim import warp_setup
 from hts.sim.models import compile_model, variants
 from hts.sim.selection import make_engine
 
-pytest.importorskip("mujoco_warp", reason="the extra `gpu` is not installed")
 pytest.importorskip("hts_go1", reason="the robot of this test is not installed")
 # A cold cache of compiled kernels costs about a minute, a warm one a few seconds.
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(600),
+    # Asked without importing it, which takes seconds also for who collects these tests and runs others.
+    pytest.mark.skipif(importlib.util.find_spec("mujoco_warp") is None, reason="the extra `gpu` is not installed"),
+]
 
 WORLDS = 6
 IN_TURN = [0, 1, 2, 0, 1, 2]
