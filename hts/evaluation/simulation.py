@@ -18,6 +18,7 @@ from hts.errors import ConfigError, PluginError
 from hts.evaluation.simulated_trimming import SECONDS, trim
 from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
+from hts.rl.threads import one_thread
 
 SETTLE_SECONDS = 2.0  # the start of a trial is not judged
 
@@ -76,6 +77,7 @@ test_config.__test__ = False  # type: ignore[attr-defined]  # not a pytest test
 
 
 @torch.no_grad()
+@one_thread()
 def simulate(
     env: EnvBase,
     population: Population,

@@ -18,7 +18,8 @@ from hts.rl.threads import pool
 from hts.rl.tracing import compiled
 
 LONG = 8192  # samples per candidate from which on a GPU takes candidates in turn: a product adds its bias only there
-MANY = 512  # samples per candidate from which on a CPU takes candidates side by side
+MANY = 512  # samples per candidate from which on a CPU takes halves of them side by side
+BLOCK = 64  # samples: a half is so many times a whole number, as products want it
 ALIGNED = 8  # numbers; rows of matrices on a GPU begin at a multiple
 PARTIAL = 64  # sums side by side
 CLIP = 10.0  # of normalised observations
@@ -183,24 +184,28 @@ class Population(OfItsSizes):
                 x = F.elu_(x)
         return x
 
-    def _each(self, part: str, x: torch.Tensor, named: Sequence[Mapping[str, torch.Tensor]]) -> list[torch.Tensor]:
-        """Candidate by candidate; side by side where they take longer than handing them to threads does, but not with
-        parameters that somebody gave: `vmap`, in which TorchRL evaluates values, knows one thread."""
-        if len(named) == 1 or x.shape[1] < MANY or torch.is_grad_enabled() or named is not self._cache:
-            return [self._one(part, row, one) for row, one in zip(x.unbind(0), named, strict=True)]
+    def _each(self, part: str, x: torch.Tensor, named: Sequence[Mapping[str, torch.Tensor]]) -> torch.Tensor:
+        """Candidate by candidate, x [P, B, inputs] -> [P, B, outputs]; in halves and side by side where they take
+        longer than handing them to threads does, but not with parameters that somebody gave: `vmap`, in which TorchRL
+        evaluates values, knows one thread."""
+        if x.shape[1] < MANY or torch.is_grad_enabled() or named is not self._cache:
+            return torch.stack([self._one(part, row, one) for row, one in zip(x.unbind(0), named, strict=True)])
 
         @torch.no_grad()  # known to each thread for itself
-        def run(row: torch.Tensor, one: Mapping[str, torch.Tensor]) -> torch.Tensor:
-            return self._one(part, row, one)
+        def run(rows: torch.Tensor, one: Mapping[str, torch.Tensor]) -> torch.Tensor:
+            return self._one(part, rows, one)
 
-        with pool(len(named)) as threads:
-            return list(threads.map(run, x.unbind(0), named))
+        half = x.shape[1] // (2 * BLOCK) * BLOCK
+        halves = [rows for row in x.unbind(0) for rows in (row[:half], row[half:])]
+        with pool(len(halves)) as threads:
+            parts = list(threads.map(run, halves, [one for one in named for _ in range(2)]))
+        return torch.cat(parts).view(*x.shape[:2], -1)
 
     def _mlp(self, part: str, x: torch.Tensor, named: Parameters) -> torch.Tensor:
         """x [P, B, inputs] -> [P, B, outputs]."""
         last = len(self.sizes.hidden)
         if isinstance(named, list):
-            return torch.stack(self._each(part, x, named))
+            return self._each(part, x, named)
         if x.shape[1] >= LONG and not torch.is_grad_enabled():
             each = range(len(x))
             rows = [self._one(part, x[row], {name: value[row] for name, value in named.items()}) for row in each]

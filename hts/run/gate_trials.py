@@ -25,6 +25,7 @@ from hts.evaluation.simulated_trimming import told
 from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
 from hts.rl.task_env import TaskEnv
+from hts.rl.threads import one_thread
 from hts.run.gate_checks import NEEDS, Worst, limits
 from hts.sim.conventions import FLOOR
 from hts.sim.models import check_added_mass, compile_model, variants
@@ -72,6 +73,7 @@ class LostPackets:
 
 
 @torch.no_grad()
+@one_thread()
 def rollout(
     env: EnvBase,
     population: Population,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import threading
 
 import pytest
 import torch
@@ -71,6 +72,31 @@ def test_a_candidate_computes_the_same_bits_alone_and_in_a_crowd():
     x, y = torch.randn(4, 33, 5), torch.randn(4, 33, 7)
     assert torch.equal(crowd.mean(x)[2:3], alone.mean(x[2:3]))
     assert torch.equal(crowd.value(y)[2:3], alone.value(y[2:3]))
+
+
+@pytest.mark.parametrize("samples", [512, 777, 3072])  # halves of 256 and 256, 384 and 393, 1536 and 1536
+def test_halves_side_by_side_compute_what_the_whole_does(samples):
+    crowd = Population(SIZES, 3, seed=1)
+    alone = Population.from_candidates(SIZES, [crowd.candidate(2)])
+    x, y = torch.randn(3, samples, 5), torch.randn(3, samples, 7)
+    with torch.no_grad():  # as samples are prepared; with gradients nothing is halved
+        means, values = crowd.mean(x), crowd.value(y)
+        assert torch.equal(means[2:3], alone.mean(x[2:3])) and torch.equal(values[2:3], alone.value(y[2:3]))
+    torch.testing.assert_close(means, crowd.mean(x), atol=1e-6, rtol=1e-5)
+    torch.testing.assert_close(values, crowd.value(y), atol=1e-6, rtol=1e-5)
+
+
+def test_many_samples_of_one_candidate_are_computed_in_halves_by_threads():
+    noted = []
+
+    class Noting(Population):
+        def _one(self, part, x, one):
+            noted.append((len(x), threading.current_thread() is threading.main_thread()))
+            return super()._one(part, x, one)
+
+    with torch.no_grad():
+        Noting(SIZES, 1).mean(torch.randn(1, 1000, 5))
+    assert sorted(noted) == [(448, False), (552, False)]  # 7 x 64 and the rest
 
 
 def test_stacked_parameters_compute_what_single_ones_do():

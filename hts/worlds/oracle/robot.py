@@ -16,6 +16,7 @@ from hts.errors import ConfigError, SimulationError, UnfitWorldError
 from hts.rl.actor import PopulationActor
 from hts.rl.population import Population
 from hts.rl.random import PopulationRandom
+from hts.rl.threads import one_thread
 from hts.worlds.oracle.env import TRUE, OracleEnv
 from hts.worlds.oracle.reward import Level
 from hts.worlds.twin.instruments import maker
@@ -100,6 +101,7 @@ class OracleRobot(Robot):
 
 
 @torch.no_grad()
+@one_thread()
 def levels(
     robot: OracleRobot,
     policy: Policy,
