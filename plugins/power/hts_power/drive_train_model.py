@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import torch
-from pydantic import Field, model_validator
+from pydantic import Field, PositiveFloat, model_validator
 from torch import Tensor
 
 from hts.config import Config
@@ -51,7 +51,7 @@ from hts.measurement.split import left_out_together
 from hts.measurement.torch_model import TorchModel
 from hts.rl.threads import one_thread
 from hts_power.drive_train_fit import BLOCK_SECONDS, DIRECTIONS, Drives, skipped
-from hts_power.drive_train_prior import TERMS, expected
+from hts_power.drive_train_prior import TERMS, expected, kinds
 from hts_power.proxy import JOULE_COEFFICIENT
 
 if TYPE_CHECKING:
@@ -76,6 +76,11 @@ class DriveTrainSettings(Config):
         gt=0,
         description="r/k², W/(N·m)²: how much copper loss beside mechanical power is expected; "
         "null: nothing is known of it",
+    )
+    gears: tuple[PositiveFloat, ...] | None = Field(
+        None,
+        description="gear ratio of each joint, in the robot's order, up to a factor: of like motors the expected copper "
+        "loss goes with 1 / ratio²; null: not told, so joints of another kind may have any",
     )
     instant: bool = Field(
         True,
@@ -129,6 +134,11 @@ class DriveTrain(TorchModel):
                 f"drive_train reads torque and speed of the same joints, in this order; found {found}. Choose another "
                 "measurement model for this objective, e.g. linear."
             )
+        if config.gears is not None and len(config.gears) != signals.sizes[0]:
+            raise ConfigError(
+                f"drive_train.gears: found {len(config.gears)} ratios, expected {signals.sizes[0]}, one for each joint in "
+                "the robot's order. Correct it, or leave it out."
+            )
         super().__init__(signals)
         self.config = config
         self._parts = physics_steps  # of a control step, in the robot's simulation; 0: it keeps none
@@ -180,6 +190,7 @@ class DriveTrain(TorchModel):
             idle = [float(recording.idle[name]) for recording in recordings if name in recording.idle]
             rest = None if not idle else (float(np.mean(idle)) - float(self.target_mean)) / float(self.target_std)
             kind = kinds(recordings[0].joint_names, self.signals.sizes[0])
+            known = self.config.joule_coefficient, self.config.gears
             folds = np.array(left_out_together(recordings, MOST_FOLDS))
             sources = {"read": [piece.inputs for piece in pieces]}
             computed = [computed_inputs(self.signals, recording) for recording in recordings]
@@ -198,7 +209,7 @@ class DriveTrain(TorchModel):
             found: dict[str, tuple[Drives, list[np.ndarray], list[np.ndarray]]] = {}
             for source, inputs in sources.items():
                 terms = [self._terms(each).numpy() for each in inputs]
-                drives = Drives(expected(kind, self.feature_std.double().numpy(), self.config.joule_coefficient), rest)
+                drives = Drives(expected(kind, self.feature_std.double().numpy(), *known), rest)
                 seen = [piece.sum(1) for piece in terms]
                 for _ in range(ROUNDS):
                     sensor = _sensor(seen, targets, new, self.longest)
@@ -333,16 +344,6 @@ class DriveTrain(TorchModel):
 def _named(late: int) -> str:
     """Of a source of torque, as the report has it."""
     return f"{IN_STEPS}, targets {late} late"
-
-
-def kinds(names: Sequence[str], count: int) -> np.ndarray:
-    """Which joints are built alike, (J,) numbers: FR_hip and FL_hip are, by what follows the leg's name.
-    All are where names do not say."""
-    rest = [name.split("_", 1)[-1] for name in names]
-    if len(rest) != count or any(rest.count(one) < 2 for one in rest):
-        return np.zeros(count, dtype=int)
-    order = list(dict.fromkeys(rest))
-    return np.array([order.index(one) for one in rest])
 
 
 def computed_inputs(signals: Signals, recording: Recording) -> Tensor | None:

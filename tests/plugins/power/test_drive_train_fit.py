@@ -126,6 +126,9 @@ def test_what_is_expected_are_copper_loss_and_work_and_how_far_drives_are_from_i
     done[[len(KIND), 2 * len(KIND)]] = 1 / size[[len(KIND), 2 * len(KIND)]]  # both weights of one joint's work
     assert np.sqrt(done @ prior.covariance @ done) == pytest.approx(np.hypot(0.05, np.hypot(0.02, 0.03)))
     assert spread[len(KIND)] == pytest.approx(0.29, abs=0.01)  # of what is generated nobody knows the use
+    geared = expected(KIND, size, 0.3, [1.0 + kind for kind in KIND])
+    np.testing.assert_allclose((geared.weight / size)[: len(KIND)], 0.3 / (1.0 + KIND) ** 2)
+    assert geared.covariance[0, 0] == pytest.approx((0.3 * size[0]) ** 2 * (0.5**2 + 0.25**2 + 0.13**2))
     nothing = expected(KIND, size, None)
     assert np.sqrt(nothing.covariance[0, 0]) == pytest.approx(10 * np.sqrt(prior.covariance[0, 0]))
 

@@ -14,7 +14,8 @@ from hts.contracts import ModelContext, Signals
 from hts.errors import ConfigError, RecordingError
 from hts.measurement.checks import predict
 from hts.recordings.recording import Recording, Series
-from hts_power.drive_train_model import DriveTrainSettings, computed_inputs, kinds, make
+from hts_power.drive_train_model import DriveTrainSettings, computed_inputs, make
+from hts_power.drive_train_prior import kinds
 
 RATE, JOINTS = 50.0, 4
 NAMES = ("FR_hip", "FR_knee", "FL_hip", "FL_knee")
@@ -209,6 +210,23 @@ def test_joints_built_alike_are_told_by_their_names():
     assert kinds(NAMES, 4).tolist() == [0, 1, 0, 1]
     assert kinds(("shoulder", "elbow"), 2).tolist() == [0, 0]
     assert kinds(NAMES, 3).tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize("first", [0, 5, 9])
+def test_what_gears_say_counts_where_a_log_says_little(first):
+    """Of four seconds in which nobody walks much. Copper losses 0.010 and 0.004 are of ratios 1 and 2.5 ** 0.5."""
+
+    def off(gears):
+        model, _ = fitted([walk(first + seed, seconds=4, gait=0.02) for seed in range(2)], gears=gears)
+        copper = (model.weight / model.feature_std)[:JOINTS].view(2, 2).sum(0)
+        return abs(float(copper[1] / copper[0]) - 0.4)
+
+    assert off((1.0, 2.5**0.5, 1.0, 2.5**0.5)) < off(None)
+
+
+def test_gears_of_another_number_of_joints_are_refused_in_one_line():
+    with pytest.raises(ConfigError, match="drive_train.gears: found 3 ratios, expected 4, one for each joint"):
+        make({"gears": [6.33, 6.33, 9.5]}, ModelContext(SIGNALS))
 
 
 def test_other_inputs_are_refused():
