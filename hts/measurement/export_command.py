@@ -37,12 +37,20 @@ def export_measurement_model(
                 f"{model}: expected a measurement model that exists, a model.safetensors of `hts fit`; or a run folder "
                 "and the name of its objective: hts export DIR --measurement-model NAME."
             )
-        notes = files.read_card(path).get("notes") or {}
+        card = files.read_card(path)
+        notes = card.get("notes") or {}
         name, settings = notes.get("objective"), {}
         if not isinstance(name, str):
             raise PolicyError(
                 f"{path.with_suffix('.json')}: does not say which objective it was fitted for. Fit it with `hts fit`, "
                 "or export it from its run: hts export DIR --measurement-model NAME."
+            )
+        target = card.get("signals", {}).get("target", {}).get("name")  # files of format 1 name none
+        if name == target and name not in registry.objectives:
+            raise PolicyError(
+                f"{path}: fitted to --target {name}, for no objective, and the file is to hold an objective's reward. "
+                "Write one whose target is that channel (`hts new objective NAME`), and fit again with --objective; "
+                "to predict in Python, hts.measurement.files.load opens the model as it is."
             )
     else:
         from hts.config_loading import read_config

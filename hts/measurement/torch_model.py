@@ -48,7 +48,14 @@ class TorchModel(nn.Module, Learner):
         return self.num_inputs + sum(first.stop - first.start for first, _ in self._pairs)
 
     def features(self, inputs: Tensor) -> Tensor:
-        """Inputs (..., F) in channel units -> features (..., G), not z-scored."""
+        """Inputs (..., F) in channel units -> features (..., G), not z-scored. Raises ValueError for another F, which
+        the statistics of the data would otherwise stretch to theirs."""
+        if inputs.shape[-1] != self.num_inputs:
+            named = ", ".join(f"{one.name} {one.shape}" for one in self.signals.inputs)
+            raise ValueError(
+                f"The inputs have the shape {tuple(inputs.shape)}; expected {self.num_inputs} numbers in the last "
+                f"dimension, side by side: {named}."
+            )
         return with_products(inputs, self._pairs)
 
     def scaled_features(self, inputs: Tensor) -> Tensor:

@@ -44,6 +44,10 @@ def not_plain(path: Path) -> str:
             named = path.suffix == ending  # the tools refuse another name
             unpack = f"`{command} {shlex.quote(str(path))}`" if named else in_place(f"{command.split()[0]} -c <", path)
             return f"packed ({what}), expected text. Unpack it first: {unpack}."
+    if head.startswith(b"PAR1"):
+        return (
+            "a Parquet file, expected text. Write `reader: parquet` into its mapping, or import it with one of its own."
+        )
     for begin, encoding in MARKS.items():
         if head.startswith(begin):
             return f"begins with the bytes {begin.hex(' ')}, which is {encoding}. {_converted(path, encoding)}"

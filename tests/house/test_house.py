@@ -22,7 +22,7 @@ SOURCES = sorted(
     path
     for folder in ("hts", "plugins", "robots", "integrations")
     for path in (REPOSITORY / folder).rglob("*.py")
-    if "__pycache__" not in path.parts
+    if not {"__pycache__", ".environment"} & set(path.parts)  # the second: what `make test-rsl-rl` installs
 )
 NAMES = {path: path.relative_to(REPOSITORY).as_posix() for path in SOURCES}
 CORE = [path for path in SOURCES if NAMES[path].startswith("hts/")]

@@ -311,3 +311,10 @@ def test_the_command_writes_the_model_of_a_fit_with_the_robots_joints(tmp_path, 
     assert stopped.value.code == 2 and "expected a measurement model that exists" in capsys.readouterr().err
     with pytest.raises(ConfigError, match="is written as .safetensors"):
         export_measurement_model(None, str(saved), tmp_path / "new.onnx")
+
+
+def test_a_model_that_was_fitted_for_no_objective_has_no_reward_to_write_and_the_line_says_what_to_do(tmp_path):
+    model = load().make_measurement_model("linear", {}, ModelContext(SIGNALS))
+    saved = files.save(model, tmp_path / "model", {"objective": SIGNALS.target.name})  # as `hts fit --target` notes it
+    with pytest.raises(PolicyError, match=r"fitted to --target \S+, for no objective.*hts new objective.*files\.load"):
+        export_measurement_model(None, str(saved), tmp_path / "new.safetensors")

@@ -10,7 +10,7 @@ from hts.contracts import Signals
 from hts.measurement.lstm import LSTM, LSTMSettings, worlds_last
 from hts.measurement.lstm_fit import _search
 from hts.recordings.recording import Series
-from hts.testing.known_signals import known_heat
+from hts.testing.known_signals import SIGNALS, known_heat
 
 SMALL = LSTMSettings(hidden=16, products=True)
 HEAT = Signals((Channel("effort", "N*m", (3,)), Channel("rate", "rad/s", (3,))), Channel("heat", "W"), 50.0)
@@ -143,3 +143,11 @@ def test_a_fit_ends_when_nothing_got_better_for_so_long_and_keeps_the_best(
     found = _search(told, min(epochs, 8), patience, until, None)
     assert (len(found.curve), found.stopped, found.best_epoch) == (passes, stopped, best)
     assert float(found.best["weight"]) == best and found.best_error == told.errors[best - 1]
+
+
+def test_inputs_of_another_width_are_refused_and_not_stretched():
+    model = LSTM(LSTMSettings(hidden=8), SIGNALS)
+    with pytest.raises(
+        ValueError, match=r"shape \(2, 5, 1\); expected \d+ numbers in the last dimension, side by side: "
+    ):
+        model.sequence(torch.zeros(2, 5, 1))

@@ -171,3 +171,13 @@ def test_dates_that_go_back_are_shown_as_dates_and_an_hour_is_daylight_saving(tm
 )
 def test_stamps_that_do_not_increase_are_not_just_to_be_sorted(tmp_path, stamps, told):
     assert told in refusal(written(tmp_path, "t,K_tau,H_tau,amps\n" + "".join(f"{one},1,2,-2000\n" for one in stamps)))
+
+
+def test_a_parquet_file_that_is_read_as_text_is_called_one(tmp_path):
+    import pyarrow
+    from pyarrow import parquet
+
+    from hts.recordings.encoding import not_plain
+
+    parquet.write_table(pyarrow.table({"t": [0.0, 1.0]}), tmp_path / "walk.parquet")
+    assert not_plain(tmp_path / "walk.parquet").startswith("a Parquet file, expected text. Write `reader: parquet`")
