@@ -79,8 +79,8 @@ class DriveTrainSettings(Config):
     )
     gears: tuple[PositiveFloat, ...] | None = Field(
         None,
-        description="gear ratio of each joint, in the robot's order, up to a factor: of like motors the expected copper "
-        "loss goes with 1 / ratio²; null: not told, so joints of another kind may have any",
+        description="gear ratio of each joint, in the robot's order, up to a factor: the copper loss of like motors is then "
+        "expected to go with 1 / ratio²; null: not told",
     )
     instant: bool = Field(
         True,
@@ -136,8 +136,8 @@ class DriveTrain(TorchModel):
             )
         if config.gears is not None and len(config.gears) != signals.sizes[0]:
             raise ConfigError(
-                f"drive_train.gears: found {len(config.gears)} ratios, expected {signals.sizes[0]}, one for each joint in "
-                "the robot's order. Correct it, or leave it out."
+                f"drive_train.gears: found {len(config.gears)} ratios, expected {signals.sizes[0]}, one for each joint "
+                "in the robot's order. Correct it, or leave it out."
             )
         super().__init__(signals)
         self.config = config

@@ -55,7 +55,7 @@ def expected(
     kind: np.ndarray, size: np.ndarray, joule_coefficient: float | None, gears: Sequence[float] | None = None
 ) -> Expected:
     """kind: of each joint, (J,); size: root mean square of each term in the log, (TERMS · J,), positive,
-    alike for all joints; joule_coefficient: r/k², W/(N m)², of the joints with the smallest gear ratio; None: nothing is
+    alike for all joints; joule_coefficient: r/k², W/(N m)², of joints with the smallest gear ratio; None: nothing is
     known of it; gears: ratio of each joint, (J,), up to a factor; None: not told, and all joints are expected alike."""
     joints = len(kind)
     least = joule_coefficient or JOULE_COEFFICIENT
