@@ -11,6 +11,10 @@ from hts_go1_runtime.loop import Loop
 from hts_go1_runtime.posture import carried
 
 WATCHED = 0.1  # s: of states for the mean torque of a joint
+MOST_VOLTS = 40.0  # V: a full pack of a Go1 has 25.2 (User Manual V1.4), eight cells in a row, as in a Go2, have 33.6
+LEAST_IDLE = (
+    0.2  # A: a few watts, an order below what computers and drives of a Go1 take while the motors idle (estimate)
+)
 
 
 def meet(loop: Loop) -> list[State]:
@@ -21,6 +25,11 @@ def meet(loop: Loop) -> list[State]:
         raise RuntimeFault(
             "The robot's battery monitor gives 0 V and 0 A: it is not being read. Start the robot's own process that "
             "reads it, or restart the robot."
+        )
+    if state.voltage > MOST_VOLTS:
+        raise RuntimeFault(
+            f"The pack has {state.voltage:g} V, expected at most {MOST_VOLTS:g}: another unit, such as mV, and no empty "
+            "pack would stop the robot. Correct it in the link (V); nothing has moved."
         )
     fault = loop.look_over(state)
     if fault:
@@ -75,6 +84,12 @@ def check_draws(current: float) -> None:
             f"The pack's current is {current:.2f} A while the motors idle, expected above 0, which is drawn from it: "
             "the link counts the other way, or does not read it. Correct it in the link, or leave NaN there if nobody "
             "measures it; the robot has not stood up."
+        )
+    if current < LEAST_IDLE:
+        raise RuntimeFault(
+            f"The pack's current is {current:.2g} A while the motors idle, expected {LEAST_IDLE:g} or more, which the "
+            "robot's computers alone draw: another unit, and no over-current would stop the robot. Correct it in the "
+            "link (A); the robot has not stood up."
         )
 
 

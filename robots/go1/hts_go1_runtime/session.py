@@ -292,7 +292,8 @@ class Session:
     def _trim(self, policy: Policy, row: Row) -> tuple[float, bool]:
         hold = self.bundle.hold
         assert hold is not None
-        trimming = Trimming(row.commands[0][1], hold.commands, hold.seconds, self.loop.period)
+        asked, vouched = row.commands[0][1], self.options.at_limit
+        trimming = Trimming(asked, hold.commands, hold.seconds, self.loop.period, vouched)
         self._wanted_heading = None
         policy.start()
         walked = Walked(round(row.seconds / self.loop.period))
@@ -307,10 +308,10 @@ class Session:
                 self._fallen(log, row, **{WHILE_TRIMMED: "true"})
             raise
         command, saturated = trimming.found()
-        self.events.say("trimmed", log=row.log, asked=row.commands[0][1], command=round(command, 4), at_limit=saturated)
+        self.events.say("trimmed", log=row.log, asked=asked, command=round(command, 4), at_limit=saturated)
         if over(ranges_of(policy), "vx", command):
             self.events.say("trimmed to more than was trained for", log=row.log, trained=ranges_of(policy)["vx"])
-        trimming.check(self.options.at_limit)
+        trimming.check()
         return command, saturated
 
     def _fallen(self, log: RowLog, row: Row, **notes: str) -> None:
