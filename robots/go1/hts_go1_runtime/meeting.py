@@ -28,8 +28,8 @@ def meet(loop: Loop) -> list[State]:
         )
     if state.voltage > MOST_VOLTS:
         raise RuntimeFault(
-            f"The pack has {state.voltage:g} V, expected at most {MOST_VOLTS:g}: another unit, such as mV, and no empty "
-            "pack would stop the robot. Correct it in the link (V); nothing has moved."
+            f"The pack has {state.voltage:g} V, expected at most {MOST_VOLTS:g}: another unit, such as mV, and no "
+            "empty pack would stop the robot. Correct it in the link (V); nothing has moved."
         )
     fault = loop.look_over(state)
     if fault:

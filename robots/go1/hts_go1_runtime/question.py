@@ -12,10 +12,12 @@ from hts_go1_runtime.first_run import FirstRun, never_walked
 from hts_go1_runtime.meeting import unguarded
 from hts_go1_runtime.rows import Row
 from hts_go1_runtime.trained import beyond
+from hts_go1_runtime.when import began
 
 LONG = 1800.0
 """Seconds since the last log of a session after which its other blocks are not walked beside it any more: charge, heat
 and floor are others. A swap of the battery in the midst of a visit takes less."""
+AHEAD = 600.0  # s: a file's time may be its last line's, and a row's length is added to it
 
 
 def question(
@@ -70,15 +72,18 @@ def slowly(bundle: Bundle, rows: Sequence[Row]) -> list[Row]:
 
 def begun_long_ago(bundle: Bundle, rows: Sequence[Row], now: float) -> list[str]:
     """Sessions of some rows that compare policies and of which other rows have logs, the last of them `LONG` ago: its
-    name, hours and logs. now: s, as files' times are told."""
+    name, hours and logs. A log of a time that is still to come was recorded before this computer's clock was set back,
+    nobody knows how long ago. now: s, as files' times are told."""
     asked = {row.log for row in rows}
     found = []
     for session in dict.fromkeys(row.session for row in rows if row.role != "collection"):
-        others = [row.log for row in bundle.rows if row.session == session and row.log not in asked]
-        times = {name: path.stat().st_mtime for name in others if (path := bundle.logs / f"{name}.csv").exists()}
-        if times and now - max(times.values()) > LONG:
-            hours = (now - max(times.values())) / 3600
-            found.append(f"{session} ({hours:.1f} h, logs {', '.join(times)})")
+        others = [row for row in bundle.rows if row.session == session and row.log not in asked]
+        ends = {row.log: at + row.seconds for row in others if (at := began(bundle.logs, row.log)) is not None}
+        ago = now - max(ends.values(), default=now)
+        if ago < -AHEAD:
+            found.append(f"{session} (by a clock that was set back since, logs {', '.join(ends)})")
+        elif ago > LONG:
+            found.append(f"{session} ({ago / 3600:.1f} h, logs {', '.join(ends)})")
     return found
 
 

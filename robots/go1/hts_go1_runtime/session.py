@@ -32,6 +32,7 @@ from hts_go1_runtime.question import question
 from hts_go1_runtime.rows import Row, steps_of
 from hts_go1_runtime.trained import over, ranges_of, turns
 from hts_go1_runtime.trimming import Trimming
+from hts_go1_runtime.when import noted as noted_when
 
 HEADING_GAIN, LARGEST_YAW_RATE = 0.5, 1.0  # rad/s per rad, rad/s: as the policies were trained
 STAND_KP, STAND_KD = np.full(12, 40.0), np.full(12, 1.0)
@@ -70,6 +71,7 @@ class Session:
         self._channels: list[str] = []
         self._needed = Missing(())  # of what the robot measures, that by which it is stopped
         self._idle: dict[str, float] = {}
+        self._when: dict[str, str] = {}  # the present row began
         self._torque_share = 1.0  # of what the joints may be told
         self._wanted_heading: float | None = None
         self._held = read_held(bundle.logs, bundle.hold)
@@ -255,6 +257,7 @@ class Session:
         """Record one row, trimmed first where the bundle says so."""
         policy = self.bundle.policies[row.policy]
         commands = steps_of(row.commands, self.bundle.rate_hz)
+        self._when = noted_when(self.link.simulated)
         if self.bundle.hold and row.role != "collection":
             key = f"{row.session} {row.role} {row.policy_hash} {row.commands[0][1]:g}"
             if row.trim or key not in self._held:
@@ -262,6 +265,7 @@ class Session:
                 self.events.keep(self.bundle.logs / FILE, written(self._held))
             commands[:, 0] = self._held[key][0]
         self.events.say("row", log=row.log, policy=row.policy, seconds=row.seconds)
+        self._when = noted_when(self.link.simulated)
         log = RowLog(self.bundle.logs, row.log, self._channels, self._described(row))
         self._wanted_heading = None
         policy.start()
@@ -384,6 +388,7 @@ class Session:
             "notes": {
                 "unsteady_seconds": f"{self.bundle.manifest['control']['unsteady_seconds']:g}",
                 "recorded_by": "hts_go1_runtime",
+                **self._when,
                 **notes,
             },
             **({"fell": True} if fell else {}),

@@ -1,4 +1,4 @@
-"""Sign and unit of the pack's current and voltage: counted the other way, or in another unit, no limit would see them."""
+"""Sign and unit of the pack's current and voltage: of another one, no limit would see them."""
 
 from __future__ import annotations
 

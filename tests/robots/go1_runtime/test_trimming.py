@@ -85,25 +85,26 @@ def test_a_speed_that_is_counted_the_other_way_ends_the_visit_before_the_robot_h
 def test_a_command_goes_no_further_while_the_speed_is_counted_the_other_way():
     trimming = Trimming(0.8, (-1.5, 1.5), 12.0, PERIOD)
     with pytest.raises(RuntimeFault, match="the other way"):
-        for number in range(600):
-            trimming.see(-0.8 + 1e-6 * number)
+        shown_for(trimming, 12.0, -0.8)
     assert trimming.command == 0.8
+
+
+def shown_for(trimming: Trimming, seconds: float, speed: float) -> None:
+    for number in range(round(seconds / PERIOD)):
+        trimming.see(speed + 1e-6 * number)
 
 
 @pytest.mark.parametrize(("asked", "shown", "end"), [(0.8, 800.0, 0.0), (-0.8, -800.0, 0.0), (0.8, 0.0, 1.5)])
 def test_a_command_stays_at_an_end_for_seconds_and_never_turns_round(asked, shown, end):
-    trimming, steps = Trimming(asked, (-1.5, 1.5), 48.0, PERIOD), 0
+    trimming = Trimming(asked, (-1.5, 1.5), 48.0, PERIOD)
     with pytest.raises(RuntimeFault, match=rf"ended at -?{end:g} m/s.*the sensor showed {shown:.2f} m/s"):
-        for steps in range(2400):
-            trimming.see(shown + 1e-6 * steps)
-            assert trimming.command * asked >= 0
-    assert steps * PERIOD < 6.0
+        shown_for(trimming, 6.0, shown)
+    assert abs(trimming.command) == end
 
 
 def test_who_vouches_for_a_command_at_its_limit_walks_at_it_to_the_end():
     trimming = Trimming(0.8, (0.2, 1.5), 12.0, PERIOD, vouched=True)
-    for number in range(600):
-        trimming.see(0.3 + 1e-6 * number)
+    shown_for(trimming, 12.0, 0.3)
     trimming.check()
     assert trimming.found() == (1.5, True)
 
