@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -29,9 +30,11 @@ def question(
     first_run: bool,
     vouched: Iterable[str],
     channels: Sequence[str],
+    warmup: float,
 ) -> str:
     """The question; what needs a look is said to `events` too. vouched: files of policies that failed the gate;
-    channels: what the link measures; first_run: each policy walks slowly and weakly, and nothing is recorded."""
+    channels: what the link measures; first_run: each policy walks slowly and weakly, and nothing is recorded; warmup: s
+    of walking before the first row."""
     other = [bundle.other_robot] if bundle.other_robot else []
     if other:
         events.say("made for another robot", robot=bundle.other_robot)
@@ -57,8 +60,23 @@ def question(
             "Begun long ago, so that blocks far apart would be compared (move its logs away to walk all)", old, "; "
         )
         + unguarded(channels)
+        + f"It walks about {metres(bundle, rows, first_run, warmup):.0f} m without a pause, keeps its heading and sees "
+        + "nothing that is in its way. "
         + "The robot will stand up and walk. Is everybody clear?"
     )
+
+
+def metres(bundle: Bundle, rows: Sequence[Row], first_run: bool, warmup: float) -> float:
+    """How far a visit walks from standing up to sitting down, m, at the speeds that are asked for."""
+    if first_run:
+        first = FirstRun.of(bundle.manifest)
+        walks = [one for file in {row.policy for row in rows} for one in first.commands(rows, file)]
+    else:
+        trims = [row.commands[0] for row in rows if row.trim]
+        held = 0.0 if bundle.hold is None else bundle.hold.seconds
+        walks = [(warmup, *rows[0].commands[0][1:]), *((held, *one[1:]) for one in trims)]
+        walks += [one for row in rows for one in row.commands]
+    return sum(seconds * math.hypot(vx, vy) for seconds, vx, vy, _ in walks)
 
 
 def slowly(bundle: Bundle, rows: Sequence[Row]) -> list[Row]:
