@@ -1,5 +1,6 @@
-"""The operator's keys. To stop at once: Enter or Ctrl-D on the terminal, a file called STOP in the bundle, or any of SIGNALS: Ctrl-C,
-Ctrl-\\ and Ctrl-Z on the terminal, its end (a dropped ssh, also under nohup), SIGTERM, SIGUSR1. To sit down: `rest`."""
+"""The operator's keys. To stop at once: Enter or Ctrl-D on the terminal, a file called STOP in the bundle, or any of
+SIGNALS: Ctrl-C, Ctrl-\\ and Ctrl-Z on the terminal, its end (a dropped ssh, also under nohup), SIGTERM, SIGUSR1. To sit
+down: `rest`."""
 
 from __future__ import annotations
 
@@ -22,7 +23,10 @@ GLANCE = 0.1  # s: how often a question looks at whatever else could end the wai
 ENDED = 1.0  # s: an input (no terminal) that ends so soon, as /dev/null or `echo |` does, never had anybody at it
 Brake = Callable[[str, str], None]
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
-KEY_GONE = "the key Enter is gone, the input has ended: a file STOP in the bundle, Ctrl-C or SIGTERM stop the robot, a file SIT sits it down"
+KEY_GONE = (
+    "the key Enter is gone, the input has ended: a file STOP in the bundle, Ctrl-C or SIGTERM stop the robot, a file "
+    "SIT lets it sit down"
+)
 
 
 class StopFile:
