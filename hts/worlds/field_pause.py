@@ -28,6 +28,8 @@ NOTE = "recorded_apart"
 ORDER_NOTE = "walked_in_another_order"
 OVERLAP_NOTE = "logs_overlap"
 """Notes of those that were walked in another order than planned, and of which one begins before another has ended."""
+BEGAN, BOOT = "began_at", "boot"
+"""Notes of a runtime: the date at which a row began, and a name for as long as its computer was switched on."""
 A_DATE = 1e8
 """s: stamps from here on are dates (1973), by whatever clock; smaller ones may begin anew with each log."""
 OVERLAP_SECONDS = 0.5
@@ -40,18 +42,27 @@ def with_pauses(
     """The recordings, with a NOTE where their session has such a pause, and ORDER_NOTE and OVERLAP_NOTE: they are among
     the doubts that are told.
 
-    files: name of each row -> its log; mappings: by which each was read. Logs whose clock begins anew with each of them
-    say nothing, nor do those of other readers than that of text, or of several files.
+    files: name of each row -> its log; mappings: by which each was read. A runtime's own clock begins anew whenever its
+    computer does, so it notes dates too: they count for rows of two such times. Logs whose clock begins anew with each
+    of them say nothing, nor do those of other readers than that of text, or of several files.
     """
     names, found = list(files), list(recordings)
     begins = [_begin(files[name], mapping) for name, mapping in zip(names, mappings, strict=True)]
-    sessions: dict[str, dict[str, tuple[float, float]]] = {}
-    for name, begin, recording in zip(names, begins, recordings, strict=True):
-        if begin is not None:
-            sessions.setdefault(recording.session, {})[name] = (begin, begin + recording.seconds)
-    for session, rows in sessions.items():
+    cuts = [float((mapping.get("cut") or [0.0])[0]) for mapping in mappings]
+    for session in dict.fromkeys(recording.session for recording in found):
+        places = [number for number, one in enumerate(found) if one.session == session]
+        dates = [_date(found[place], cuts[place]) for place in places]
+        one_clock = _one_clock([found[place] for place in places])
+        told = [begins[place] for place in places] if one_clock or None in dates else dates
+        rows = {
+            names[place]: (begin, begin + found[place].seconds)
+            for place, begin in zip(places, told, strict=True)
+            if begin is not None
+        }
+        if not rows:
+            continue
         said = {NOTE: _pause(rows)}
-        if min(begin for begin, _ in rows.values()) >= A_DATE:
+        if one_clock or min(begin for begin, _ in rows.values()) >= A_DATE:
             said |= {OVERLAP_NOTE: _overlap(rows), ORDER_NOTE: _another_order(rows)}
         notes = {key: f"session {session}: {text}" for key, text in said.items() if text}
         for number, recording in enumerate(found):
@@ -94,6 +105,19 @@ def _another_order(rows: Mapping[str, tuple[float, float]]) -> str:
         "balances what drifts meanwhile. If logs lie under each other's names, give each its own; else walk all of "
         "them anew in the order of the plan"
     )
+
+
+def _one_clock(recordings: Sequence[Recording]) -> bool:
+    """Whether the stamps of these are of one clock that did not begin anew, as a runtime notes."""
+    return len({recording.notes.get(BOOT, "") for recording in recordings}) == 1 and BOOT in recordings[0].notes
+
+
+def _date(recording: Recording, cut: float) -> float | None:
+    """When a row began as a runtime notes it, s since 1970; None where it does not. cut: s that were left out."""
+    try:
+        return datetime.fromisoformat(recording.notes[BEGAN]).timestamp() + cut
+    except (KeyError, ValueError, OverflowError):
+        return None
 
 
 def _begin(files: Sequence[Path], mapping: Mapping[str, Any]) -> float | None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import pytest
+import yaml
 from field_folder import SECONDS, bundle, field, fill_in, write_log
 
 from hts.errors import WaitingForRobot
 from hts.recordings.doubts import remarks
-from hts.worlds.field_pause import NOTE, ORDER_NOTE, OVERLAP_NOTE, _begin
+from hts.worlds.field_pause import BEGAN, BOOT, NOTE, ORDER_NOTE, OVERLAP_NOTE, _begin, with_pauses
 
 DAY = 86400.0
 
@@ -81,3 +82,51 @@ def test_a_stretch_that_a_mapping_cuts_out_begins_where_it_is_cut(run, policy, r
     mapping = {"reader": "csv", "time": {"column": "time", "unit": "s"}}
     log = bundle(run) / "logs" / "00.csv"
     assert _begin([log], {**mapping, "cut": [2.5, 9.0]}) == _begin([log], mapping) + 2.5
+
+
+def noted(run, policy, robot, begins, dates, boots) -> dict[str, str]:
+    """What is said of rows whose logs' clock shows these stamps, s, where a runtime noted the rest."""
+    told(run, policy, robot, begins)
+    recordings = field(run).head_to_head(policy, policy, [0.8])
+    files = {f"{row:02d}": [bundle(run) / "logs" / f"{row:02d}.csv"] for row in range(4)}
+    mapping = yaml.safe_load((run / "field" / "mapping.yaml").read_text())
+    with_notes = [
+        recording.replace(notes={**recording.notes, BEGAN: date, **({BOOT: boot} if boot else {})})
+        for recording, date, boot in zip(recordings, dates, boots, strict=True)
+    ]
+    found = with_pauses(with_notes, files, [mapping] * 4)[0].notes
+    return {key: found[key] for key in (NOTE, ORDER_NOTE, OVERLAP_NOTE) if key in found}
+
+
+UPTIMES = [300.0, 304.0, 308.0, 312.0]  # s
+MORNINGS = [f"2026-11-{day}T09:00:{second:02d}.000+01:00" for day, second in ((29, 0), (29, 4), (30, 0), (30, 4))]
+
+
+def test_two_mornings_on_which_the_computer_had_run_as_long_are_told_apart_by_their_dates(run, policy, robot):
+    said = noted(run, policy, robot, UPTIMES, MORNINGS, ["a", "a", "b", "b"])
+    assert list(said) == [NOTE] and "row 02 begins 24.0 h after row 01 had ended" in said[NOTE]
+
+
+def test_dates_in_other_time_zones_and_over_midnight_are_one_visit(run, policy, robot):
+    dates = [
+        "2026-11-29T23:59:56.000+01:00",
+        "2026-11-30T00:00:00.000+01:00",
+        "2026-11-29T23:00:04+0000",
+        "2026-11-30T01:00:08+02:00",
+    ]
+    assert noted(run, policy, robot, UPTIMES, dates, ["a", "a", "b", "b"]) == {}
+
+
+def test_a_date_that_was_set_in_the_midst_of_a_visit_says_nothing_against_the_clock_itself(run, policy, robot):
+    dates = ["1970-01-01T00:05:00+00:00", *["2026-11-30T12:00:00+00:00"] * 3]
+    assert noted(run, policy, robot, UPTIMES, dates, ["a"] * 4) == {}
+
+
+def test_rows_that_a_runtime_walked_in_another_order_are_told_by_its_own_clock(run, policy, robot):
+    said = noted(run, policy, robot, [300.0, 308.0, 312.0, 304.0], MORNINGS, ["a"] * 4)
+    assert list(said) == [ORDER_NOTE] and "in the order 00, 03, 01, 02" in said[ORDER_NOTE]
+
+
+@pytest.mark.parametrize("date", ["yesterday", "2026-13-45", ""])
+def test_a_date_that_is_none_is_passed_over(run, policy, robot, date):
+    assert noted(run, policy, robot, UPTIMES, [date] * 4, ["", "", "", ""]) == {}

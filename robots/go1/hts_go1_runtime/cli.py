@@ -30,6 +30,10 @@ from hts_go1_runtime.udp import UdpLink
 DONE, REFUSED, STOPPED = 0, 2, 3
 VOUCH = f"{LEAST_DIGITS} digits or more of the hash of a policy that failed the gate and that you want walked"
 ROW_SENSORS = "the pack's current, or the trunk's speed while it walks,"
+KEYS = (
+    "Enter begins. After that: Enter stops at once (it sinks down); s, then Enter: it sits down and the visit ends. "
+    "Anything else that is typed now ends this."
+)
 EXTERNAL = "a measured channel that the robot does not give, and that a sensor of its own logs meanwhile"
 
 
@@ -75,8 +79,9 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
         frozen_real_seconds=options.frozen_real_seconds,
     )
     stop = bundle.folder / "STOP"
-    if stop.exists():
-        raise RuntimeFault(f"{stop}: is there and means stop. Remove it to begin.")
+    for path, means in ((stop, "stop"), (bundle.folder / "SIT", "sit down")):
+        if path.exists():
+            raise RuntimeFault(f"{path}: is there and means {means}. Remove it to begin.")
     limits = Limits(
         current=options.most_current,
         temperature=options.most_temperature,
@@ -92,7 +97,7 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
                 events.say("no real-time priority", why=why)
             try:
                 with without_collection():
-                    session.run(lambda text: _confirm(text, options.yes, loop, events))
+                    session.run(lambda text: _confirm(text, options.yes, session, events))
             except (RuntimeFault, Stopped):
                 raise
             except Exception as error:  # of ours or of a library: by now the session has damped the robot
@@ -116,14 +121,15 @@ def _unexpected(error: Exception, moved: bool, events: Events) -> RuntimeFault:
     )
 
 
-def _confirm(text: str, yes: bool, loop: Loop, events: Events) -> None:
+def _confirm(text: str, yes: bool, session: Session, events: Events) -> None:
     """A person says that the robot may move; from then on the same key stops it."""
+    loop = session.loop
     if yes:
         print(text, flush=True)
     else:
         loop.pause()
-        ask(f"{text}\nEnter begins; after that, Enter stops. Anything else that is typed now ends this.", loop.heed)
-    listen(loop.brake, gone=events.say)
+        ask(f"{text}\n{KEYS}", loop.heed)
+    listen(loop.brake, gone=events.say, rest=session.rest.ask)
 
 
 def hurry(priority: int) -> str:

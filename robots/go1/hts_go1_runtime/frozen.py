@@ -118,10 +118,17 @@ class Frozen:
 
 class Repeats:
     """Looks at what only the robot gives, a reading a step. seconds: after which it must have changed; 0: never.
-    remedy: ends the line, what to do."""
+    remedy: ends the line, what to do; of, so: in what it has stood still, and what of it."""
 
-    def __init__(self, channel: str, seconds: float, remedy: str = READ_AGAIN) -> None:
-        self._channel, self._seconds, self._remedy = channel, seconds, remedy
+    def __init__(
+        self,
+        channel: str,
+        seconds: float,
+        remedy: str = READ_AGAIN,
+        of: str = "a row",
+        so: str = "the row would tell nothing",
+    ) -> None:
+        self._channel, self._seconds, self._remedy, self._of, self._so = channel, seconds, remedy, of, so
         self._last = np.array([math.nan])
         self._since = self._before = self._stood = 0.0
 
@@ -143,8 +150,8 @@ class Repeats:
             shown = ", ".join(f"{value:g}" for value in values)
             raise RuntimeFault(
                 f"{self._channel} has been {shown if len(values) == 1 else f'({shown})'} to the last digit for "
-                f"{self._stood:.1f} s of a row, since time {self._since:.3f}: it is not being read, and the row would "
-                f"tell nothing. {self._remedy}"
+                f"{self._stood:.1f} s of {self._of}, since time {self._since:.3f}: it is not being read, and "
+                f"{self._so}. {self._remedy}"
             )
 
 

@@ -57,7 +57,8 @@ class Loop:
             if time.monotonic() > end:
                 raise RuntimeFault(
                     f"No state came from the robot for {FIRST_STATE:g} s ({self.link.counts.broken} broken packets). "
-                    "Check the address, the cable and that the robot's side runs."
+                    "Check the address, the cable, that the robot's side runs, and that no runtime of another computer "
+                    "commands it."
                 )
             self.link.hello()
             states = self.link.wait(self.link.now() + self.period)

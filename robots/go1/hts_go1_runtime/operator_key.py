@@ -1,5 +1,6 @@
-"""The operator's key: Enter or Ctrl-D on the terminal, a file called STOP in the bundle, or any of SIGNALS: Ctrl-C,
-Ctrl-\\ and Ctrl-Z on the terminal, its end (a dropped ssh, also under nohup), SIGTERM, SIGUSR1."""
+"""The operator's keys. To stop at once: Enter or Ctrl-D on the terminal, a file called STOP in the bundle, or any of
+SIGNALS: Ctrl-C, Ctrl-\\ and Ctrl-Z on the terminal, its end (a dropped ssh, also under nohup), SIGTERM, SIGUSR1. To sit
+down: `rest`."""
 
 from __future__ import annotations
 
@@ -16,12 +17,16 @@ from pathlib import Path
 from typing import IO
 
 from hts_go1_runtime.errors import RuntimeFault
+from hts_go1_runtime.rest import KEY
 
 GLANCE = 0.1  # s: how often a question looks at whatever else could end the waiting
 ENDED = 1.0  # s: an input (no terminal) that ends so soon, as /dev/null or `echo |` does, never had anybody at it
 Brake = Callable[[str, str], None]
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
-KEY_GONE = "the key Enter is gone, the input has ended: a file STOP in the bundle, Ctrl-C or SIGTERM stop the robot"
+KEY_GONE = (
+    "the key Enter is gone, the input has ended: a file STOP in the bundle, Ctrl-C or SIGTERM stop the robot, a file "
+    "SIT lets it sit down"
+)
 
 
 class StopFile:
@@ -53,10 +58,16 @@ def handled(handler: Callable[[int, object], None]) -> Iterator[None]:
             signal.signal(one, was)
 
 
-def listen(brake: Brake, keys: IO[str] | None = None, gone: Callable[[str], None] = lambda line: None) -> None:
+def listen(
+    brake: Brake,
+    keys: IO[str] | None = None,
+    gone: Callable[[str], None] = lambda line: None,
+    rest: Callable[[str], None] | None = None,
+) -> None:
     """A thread brakes the robot as soon as a line comes from stdin (or `keys`), or that ends: a terminal at any time
     (Ctrl-D, or it is gone), another input once somebody could have typed there (an `ssh` without a terminal that
-    dropped). gone: told in a line where there is no key from the beginning."""
+    dropped). gone: told in a line where there is no key from the beginning; rest: told of a line that is `rest.KEY`
+    alone, which brakes nobody."""
     stream = sys.stdin if keys is None else keys
     if stream is None:
         gone(KEY_GONE)
@@ -65,7 +76,11 @@ def listen(brake: Brake, keys: IO[str] | None = None, gone: Callable[[str], None
 
     def work() -> None:
         try:
-            key = "a key on the terminal" if stream.readline() else ""
+            line = stream.readline()
+            while rest is not None and line.strip().lower() == KEY:
+                rest(f"the key {KEY}")
+                line = stream.readline()
+            key = "a key on the terminal" if line else ""
         except OSError:  # a terminal that is gone
             key = ""
         if key or terminal or time.monotonic() - began > ENDED:

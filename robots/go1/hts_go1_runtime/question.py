@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -12,10 +13,12 @@ from hts_go1_runtime.first_run import FirstRun, never_walked
 from hts_go1_runtime.meeting import unguarded
 from hts_go1_runtime.rows import Row
 from hts_go1_runtime.trained import beyond
+from hts_go1_runtime.when import began
 
 LONG = 1800.0
 """Seconds since the last log of a session after which its other blocks are not walked beside it any more: charge, heat
 and floor are others. A swap of the battery in the midst of a visit takes less."""
+AHEAD = 600.0  # s: a file's time may be its last line's, and a row's length is added to it
 
 
 def question(
@@ -27,9 +30,11 @@ def question(
     first_run: bool,
     vouched: Iterable[str],
     channels: Sequence[str],
+    warmup: float,
 ) -> str:
     """The question; what needs a look is said to `events` too. vouched: files of policies that failed the gate;
-    channels: what the link measures; first_run: each policy walks slowly and weakly, and nothing is recorded."""
+    channels: what the link measures; first_run: each policy walks slowly and weakly, and nothing is recorded; warmup: s
+    of walking before the first row."""
     other = [bundle.other_robot] if bundle.other_robot else []
     if other:
         events.say("made for another robot", robot=bundle.other_robot)
@@ -55,8 +60,23 @@ def question(
             "Begun long ago, so that blocks far apart would be compared (move its logs away to walk all)", old, "; "
         )
         + unguarded(channels)
+        + f"It walks about {metres(bundle, rows, first_run, warmup):.0f} m without a pause, keeps its heading and sees "
+        + "nothing that is in its way. "
         + "The robot will stand up and walk. Is everybody clear?"
     )
+
+
+def metres(bundle: Bundle, rows: Sequence[Row], first_run: bool, warmup: float) -> float:
+    """How far a visit walks from standing up to sitting down, m, at the speeds that are asked for."""
+    if first_run:
+        first = FirstRun.of(bundle.manifest)
+        walks = [one for file in {row.policy for row in rows} for one in first.commands(rows, file)]
+    else:
+        trims = [row.commands[0] for row in rows if row.trim]
+        held = 0.0 if bundle.hold is None else bundle.hold.seconds
+        walks = [(warmup, *rows[0].commands[0][1:]), *((held, *one[1:]) for one in trims)]
+        walks += [one for row in rows for one in row.commands]
+    return sum(seconds * math.hypot(vx, vy) for seconds, vx, vy, _ in walks)
 
 
 def slowly(bundle: Bundle, rows: Sequence[Row]) -> list[Row]:
@@ -70,15 +90,18 @@ def slowly(bundle: Bundle, rows: Sequence[Row]) -> list[Row]:
 
 def begun_long_ago(bundle: Bundle, rows: Sequence[Row], now: float) -> list[str]:
     """Sessions of some rows that compare policies and of which other rows have logs, the last of them `LONG` ago: its
-    name, hours and logs. now: s, as files' times are told."""
+    name, hours and logs. A log of a time that is still to come was recorded before this computer's clock was set back,
+    nobody knows how long ago. now: s, as files' times are told."""
     asked = {row.log for row in rows}
     found = []
     for session in dict.fromkeys(row.session for row in rows if row.role != "collection"):
-        others = [row.log for row in bundle.rows if row.session == session and row.log not in asked]
-        times = {name: path.stat().st_mtime for name in others if (path := bundle.logs / f"{name}.csv").exists()}
-        if times and now - max(times.values()) > LONG:
-            hours = (now - max(times.values())) / 3600
-            found.append(f"{session} ({hours:.1f} h, logs {', '.join(times)})")
+        others = [row for row in bundle.rows if row.session == session and row.log not in asked]
+        ends = {row.log: at + row.seconds for row in others if (at := began(bundle.logs, row.log)) is not None}
+        ago = now - max(ends.values(), default=now)
+        if ago < -AHEAD:
+            found.append(f"{session} (by a clock that was set back since, logs {', '.join(ends)})")
+        elif ago > LONG:
+            found.append(f"{session} ({ago / 3600:.1f} h, logs {', '.join(ends)})")
     return found
 
 

@@ -18,6 +18,7 @@ from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
 from hts_go1_runtime.first_run import FirstRun, walked_before
 from hts_go1_runtime.frozen import Missing, RowSensors
 from hts_go1_runtime.gated import vouched_for
+from hts_go1_runtime.heading import Heading
 from hts_go1_runtime.held import FILE, read_held, written
 from hts_go1_runtime.idle import Readings, changed, check_read, levels, readings
 from hts_go1_runtime.keeping import Keeper
@@ -29,11 +30,12 @@ from hts_go1_runtime.meeting import NEEDED, check_channels, check_draws, check_l
 from hts_go1_runtime.nearing import Nearing
 from hts_go1_runtime.policy import Policy
 from hts_go1_runtime.question import question
+from hts_go1_runtime.rest import Rest
 from hts_go1_runtime.rows import Row, steps_of
-from hts_go1_runtime.trained import over, ranges_of, turns
+from hts_go1_runtime.trained import over, ranges_of
 from hts_go1_runtime.trimming import Trimming
+from hts_go1_runtime.when import noted as noted_when
 
-HEADING_GAIN, LARGEST_YAW_RATE = 0.5, 1.0  # rad/s per rad, rad/s: as the policies were trained
 STAND_KP, STAND_KD = np.full(12, 40.0), np.full(12, 1.0)
 FAR = 0.6  # rad: from further away the robot folds its legs before it stands up
 UP_SECONDS, DOWN_SECONDS, STAND_SECONDS, LETTING_GO = 2.0, 2.0, 1.0, 1.0
@@ -64,14 +66,16 @@ class Session:
 
     def __init__(self, bundle: Bundle, link: Link, loop: Loop, options: Options, events: Events) -> None:
         self.bundle, self.link, self.loop, self.options, self.events = bundle, link, loop, options, events
+        self.rest = Rest(bundle.folder / "SIT")
         self.limited_targets = 0  # joint targets that left the joint's range and were sent as its end
         self._keeper = Keeper(events)
-        self._nearing = Nearing(loop.limits, loop.period)
+        self._nearing = Nearing(loop.limits, loop.period, options.frozen_real_seconds)
         self._channels: list[str] = []
         self._needed = Missing(())  # of what the robot measures, that by which it is stopped
         self._idle: dict[str, float] = {}
+        self._when: dict[str, str] = {}  # the present row began
         self._torque_share = 1.0  # of what the joints may be told
-        self._wanted_heading: float | None = None
+        self._heading = Heading()
         self._held = read_held(bundle.logs, bundle.hold)
         self._vouched: dict[str, str] = {}
 
@@ -112,6 +116,7 @@ class Session:
         seen, self._idle = self._measure_idle("idle")
         check_read(seen)
         check_draws(self._idle.get("battery_current", self.loop.state.current))
+        self.rest.check()
         self._stand_up()
         try:
             self._walk_rows(rows)
@@ -169,6 +174,7 @@ class Session:
             first_run=self.options.first_run,
             vouched=self._vouched,
             channels=self._channels,
+            warmup=self._warmup_seconds(rows[0]),
         )
 
     def _measure_idle(self, what: str) -> tuple[Readings, dict[str, float]]:
@@ -243,11 +249,16 @@ class Session:
             self.events.keep(self.bundle.logs / first_run.FILE, first_run.written(walked))
         self._stroll(self.bundle.policies[rows[-1].policy], STILL)
 
-    def _warm_up(self, row: Row) -> None:
-        """Walk before the first head-to-head, so that the motors are warm; the others follow without a pause."""
+    def _warmup_seconds(self, row: Row) -> float:
+        """How long to walk before the first head-to-head, so that the motors are warm; the others follow without a
+        pause."""
         asked = self.options.warmup_seconds
         seconds = float(self.bundle.manifest["warmup_seconds"]) if asked is None else asked
-        if row.role != "collection" and seconds > 0:
+        return 0.0 if row.role == "collection" else seconds
+
+    def _warm_up(self, row: Row) -> None:
+        seconds = self._warmup_seconds(row)
+        if seconds > 0:
             self.events.say("warming up", seconds=seconds)
             self._stroll(self.bundle.policies[row.policy], [(seconds, *row.commands[0][1:])])
 
@@ -255,6 +266,7 @@ class Session:
         """Record one row, trimmed first where the bundle says so."""
         policy = self.bundle.policies[row.policy]
         commands = steps_of(row.commands, self.bundle.rate_hz)
+        self._when = noted_when(self.link.simulated)
         if self.bundle.hold and row.role != "collection":
             key = f"{row.session} {row.role} {row.policy_hash} {row.commands[0][1]:g}"
             if row.trim or key not in self._held:
@@ -262,8 +274,9 @@ class Session:
                 self.events.keep(self.bundle.logs / FILE, written(self._held))
             commands[:, 0] = self._held[key][0]
         self.events.say("row", log=row.log, policy=row.policy, seconds=row.seconds)
+        self._when = noted_when(self.link.simulated)
         log = RowLog(self.bundle.logs, row.log, self._channels, self._described(row))
-        self._wanted_heading = None
+        self._heading.begin()
         policy.start()
         sensors = self._sensors(row)
         try:
@@ -292,8 +305,9 @@ class Session:
     def _trim(self, policy: Policy, row: Row) -> tuple[float, bool]:
         hold = self.bundle.hold
         assert hold is not None
-        trimming = Trimming(row.commands[0][1], hold.commands, hold.seconds, self.loop.period)
-        self._wanted_heading = None
+        asked, vouched = row.commands[0][1], self.options.at_limit
+        trimming = Trimming(asked, hold.commands, hold.seconds, self.loop.period, vouched)
+        self._heading.begin()
         policy.start()
         walked = Walked(round(row.seconds / self.loop.period))
         try:
@@ -307,10 +321,10 @@ class Session:
                 self._fallen(log, row, **{WHILE_TRIMMED: "true"})
             raise
         command, saturated = trimming.found()
-        self.events.say("trimmed", log=row.log, asked=row.commands[0][1], command=round(command, 4), at_limit=saturated)
+        self.events.say("trimmed", log=row.log, asked=asked, command=round(command, 4), at_limit=saturated)
         if over(ranges_of(policy), "vx", command):
             self.events.say("trimmed to more than was trained for", log=row.log, trained=ranges_of(policy)["vx"])
-        trimming.check(self.options.at_limit)
+        trimming.check()
         return command, saturated
 
     def _fallen(self, log: RowLog, row: Row, **notes: str) -> None:
@@ -321,7 +335,7 @@ class Session:
 
     def _stroll(self, policy: Policy, commands: Sequence[tuple[float, float, float, float]]) -> None:
         """Walk without recording."""
-        self._wanted_heading = None
+        self._heading.begin()
         policy.start()
         for command in steps_of(commands, self.bundle.rate_hz):
             self._step(policy, command, None)
@@ -333,7 +347,7 @@ class Session:
 
         def make(state: State) -> Command:
             given["began"] = time.perf_counter()
-            given["sent"] = sent = self._steered(policy, asked, state)
+            given["sent"] = sent = self._heading.steered(policy, asked, state)
             targets = policy.targets(state, sent)
             if np.isfinite(targets).all():  # else the loop stops the robot: a limit would make a number of infinity
                 if self._torque_share < 1 or reach.weaker:
@@ -345,6 +359,7 @@ class Session:
             return command
 
         state = self.loop.tick(make)
+        self.rest.check()
         if log is not None:
             counts, now, took = self.link.counts, self.link.now(), time.perf_counter() - given["began"]
             noted = (state.stamp, 1e3 * (now - state.received), 1e3 * (now - self.loop.due), 1e3 * took)
@@ -352,18 +367,6 @@ class Session:
         self._nearing.see(state)
         self._needed.see(state)
         return state
-
-    def _steered(self, policy: Policy, asked: np.ndarray, state: State) -> np.ndarray:
-        """The command with the yaw rate that keeps the heading, where straight walking is asked for."""
-        if asked[2] != 0 or not asked[:2].any():
-            self._wanted_heading = None
-            return asked
-        if self._wanted_heading is None:
-            self._wanted_heading = state.heading
-        error = (self._wanted_heading - state.heading + math.pi) % (2 * math.pi) - math.pi
-        low, high = turns(ranges_of(policy), LARGEST_YAW_RATE)
-        turn = min(max(HEADING_GAIN * error, low), high)
-        return np.array([asked[0], asked[1], turn])
 
     # ------------------------------------------------------------------------------------------ the log
 
@@ -383,6 +386,7 @@ class Session:
             "notes": {
                 "unsteady_seconds": f"{self.bundle.manifest['control']['unsteady_seconds']:g}",
                 "recorded_by": "hts_go1_runtime",
+                **self._when,
                 **notes,
             },
             **({"fell": True} if fell else {}),

@@ -12,6 +12,7 @@ import numpy as np
 from hts_go1_runtime.packet import COMMAND, DONE, LARGEST, STATE, TICK, Packet, pack, unpack
 
 HELLO = 0xFFFFFFFF
+TAKEN = 0.1  # s after a command in which nobody else is heard: a robot that is told two things does neither
 
 
 class Line:
@@ -30,6 +31,7 @@ class Line:
         self._loss, self._late, self._delay = loss, late, delay
         self._random = np.random.default_rng([seed, 7])
         self._partner: tuple[str, int] | None = None
+        self._commanded = -np.inf  # when the partner's last command came
         self._out: list[tuple[float, int, bytes]] = []
         self._in: list[tuple[float, int, Packet]] = []
         self._number, self._newest = 0, -1
@@ -92,9 +94,14 @@ class Line:
             if packet is None:
                 continue
             kind, sequence = packet[:2]
-            if kind == DONE and sequence == HELLO and sender != self._partner:  # another runtime, which counts from 1
-                self._newest, self._in, self.greeting = -1, [], True
+            if sender != self._partner:
+                greets = kind == DONE and sequence == HELLO
+                if not greets or time.monotonic() - self._commanded < TAKEN:
+                    continue  # a stranger, or another runtime while one commands the robot
+                self._newest, self._in, self.greeting = -1, [], True  # it counts from 1
             self._partner, self.heard = sender, time.monotonic()
+            if kind == COMMAND:
+                self._commanded = self.heard
             if kind == DONE and sequence != HELLO:
                 self._finished = sequence
             elif kind == COMMAND:

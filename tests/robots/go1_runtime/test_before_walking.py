@@ -7,6 +7,7 @@ import importlib.util
 import json
 import os
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.first_run import FILE, never_walked
 from hts_go1_runtime.question import begun_long_ago
 from hts_go1_runtime.trained import beyond, turns
+from hts_go1_runtime.when import BOOT_ID
 
 SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
 scripted = importlib.util.module_from_spec(SPEC)
@@ -216,6 +218,42 @@ def test_a_session_that_goes_on_soon_is_not_told(bundle, hours):
     logged(bundle, "00", hours)
     loaded = load_bundle(bundle)
     assert begun_long_ago(loaded, loaded.rows[1:], time.time()) == []
+
+
+def described(bundle, log: str, began: object) -> None:
+    path = bundle / "logs" / "mappings" / f"{log}.yaml"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps({"recording": {"notes": {"began_at": began}}}))
+
+
+def test_logs_that_were_copied_yesterdays_way_are_as_old_as_they_say(bundle):
+    logged(bundle, "00", 0.1)  # copied just now
+    loaded, now = load_bundle(bundle), time.time()
+    described(bundle, "00", datetime.fromtimestamp(now - 86400, UTC).isoformat())
+    assert begun_long_ago(loaded, loaded.rows[1:], now) == [f"{loaded.rows[1].session} (24.0 h, logs 00)"]
+    for nothing in (None, "yesterday", 3, {}):
+        described(bundle, "00", nothing)
+        assert begun_long_ago(loaded, loaded.rows[1:], now) == []
+
+
+def test_a_clock_that_was_set_back_between_two_visits_is_told(bundle):
+    logged(bundle, "00", -30.0)
+    loaded = load_bundle(bundle)
+    (said,) = begun_long_ago(loaded, loaded.rows[1:], time.time())
+    assert said == f"{loaded.rows[1].session} (by a clock that was set back since, logs 00)"
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_log_says_when_it_was_recorded_where_its_clock_is_a_real_one(bundle, visit, simulated):
+    link = scripted.ScriptedLink()
+    link.simulated = simulated
+    before = time.time()
+    assert visit("--yes", "--rows", "00", link=link) == 0
+    notes = json.loads((bundle / "logs" / "mappings" / "00.yaml").read_text())["recording"]["notes"]
+    assert ("began_at" in notes) is not simulated
+    if not simulated:
+        assert before - 0.001 <= datetime.fromisoformat(notes["began_at"]).timestamp() <= time.time()
+        assert notes.get("boot", "none") == (BOOT_ID.read_text().strip() if BOOT_ID.exists() else "none")
 
 
 def test_other_sessions_and_recordings_that_compare_nothing_are_not_told(change):

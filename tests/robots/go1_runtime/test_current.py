@@ -1,4 +1,4 @@
-"""The sign of the pack's current: one that is counted the other way would switch the over-current stop off."""
+"""Sign and unit of the pack's current and voltage: of another one, no limit would see them."""
 
 from __future__ import annotations
 
@@ -31,6 +31,24 @@ def test_a_robot_that_draws_nothing_while_idle_does_not_stand_up(visit, capsys, 
     (line,) = capsys.readouterr().err.splitlines()
     assert "A while the motors idle, expected above 0" in line and "counts the other way" in line
     assert not any(command.kp.any() for _, command in link.sent)
+
+
+@pytest.mark.parametrize("share", [1e-3, 0.05])
+def test_a_current_in_another_unit_that_no_limit_would_see_is_refused(visit, capsys, share):
+    link = amps(lambda state: share * state.current)
+    assert visit("--yes", link=link) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "expected 0.2 or more" in line and "no over-current would stop the robot" in line
+    assert not any(command.kp.any() for _, command in link.sent)
+
+
+@pytest.mark.parametrize("times", [1000.0, 100.0, 10.0, math.inf])
+def test_a_voltage_in_another_unit_that_no_limit_would_see_is_refused(visit, capsys, times):
+    link = ScriptedLink(lambda state: dataclasses.replace(state, voltage=times * state.voltage))
+    assert visit("--yes", link=link) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "V, expected at most 40: another unit" in line and "no empty pack would stop the robot" in line
+    assert not link.sent
 
 
 def test_a_current_that_nobody_measures_is_no_current_of_the_wrong_sign(visit):

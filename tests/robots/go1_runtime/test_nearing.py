@@ -19,7 +19,7 @@ from hts_go1_runtime.fake import standing
 from hts_go1_runtime.frozen import Missing
 from hts_go1_runtime.loop import Loop
 from hts_go1_runtime.machine import Limits
-from hts_go1_runtime.nearing import Nearing
+from hts_go1_runtime.nearing import STILL_HEAT, STILL_VOLTS, Nearing
 from hts_go1_runtime.session import Options, Session
 
 SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
@@ -137,3 +137,30 @@ def test_it_is_five_degrees_below_whatever_limit_is_asked_for(limit, degrees):
     nearing.see(state(temperature=np.full(12, degrees - 0.1)))
     with pytest.raises(RuntimeFault, match=f"at {degrees:g} degC, and at {limit:g}"):
         nearing.see(state(temperature=np.full(12, degrees)))
+
+
+@pytest.mark.parametrize(("channel", "seconds"), [("battery_voltage", STILL_VOLTS), ("motor_temperature", STILL_HEAT)])
+@pytest.mark.parametrize("still", [None, 0.0, 400.0])
+def test_charge_and_heat_that_stand_still_while_it_walks_are_not_being_read(channel, seconds, still):
+    looks, noise = Nearing(Limits(), PERIOD, still), np.random.default_rng(0)
+    limit = math.inf if still == 0 else max(seconds, still or 0.0)
+
+    def walk(until: float) -> None:
+        for number in range(round(until / PERIOD)):
+            state = dataclasses.replace(standing(number, number * PERIOD), received=number * PERIOD)
+            moves = {"voltage": 22.0 + 0.01 * noise.standard_normal(), "temperature": state.temperature + number % 7}
+            moves.pop("voltage" if channel == "battery_voltage" else "temperature")
+            looks.see(dataclasses.replace(state, **moves))
+
+    if limit > 500.0:
+        walk(500.0)
+        return
+    with pytest.raises(RuntimeFault, match=rf"^{channel} has been .* s of walking.*no limit of it would stop") as told:
+        walk(500.0)
+    assert f"to the last digit for {limit:.1f} s of walking" in str(told.value)
+
+
+def test_a_pause_before_it_walks_is_no_walking():
+    looks = Nearing(Limits(), PERIOD)
+    for at in (0.0, 3600.0, 3600.02, 9000.0, 8000.0):
+        looks.see(dataclasses.replace(standing(0, at), received=at))

@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -15,15 +16,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hts_go1_stand_in.line
 from hts import plugins
 from hts.recordings.mapping import load_mapping
 from hts.recordings.reading import read_log
+from hts_go1_runtime.fake import standing
 from hts_go1_runtime.link import NOTHING, Command
 from hts_go1_runtime.machine import STAND
+from hts_go1_runtime.packet import COMMAND, DONE, LARGEST, numbers_of_command, numbers_of_state, pack, unpack
 from hts_go1_runtime.udp import UdpLink
 from hts_go1_stand_in.body import PATIENCE, STATE_SECONDS, Body
 from hts_go1_stand_in.cli import main
-from hts_go1_stand_in.line import Line
+from hts_go1_stand_in.line import TAKEN, Line
 from hts_go1_stand_in.serve import _obey
 
 HOLD = Command(STAND, np.full(12, 40.0), np.full(12, 1.0))
@@ -94,6 +98,7 @@ def test_a_second_runtime_is_heard_from_its_first_command_on():
         assert line.commands(0.0, 0.2) == []
         assert not line.greeting
         link.close()
+        time.sleep(2 * TAKEN)  # nobody commands the robot any more
     line._socket.close()
     assert numbers == [[30.0] * 5, [40.0] * 5]
 
@@ -123,7 +128,41 @@ def test_each_runtime_greets_the_robot_before_its_commands_count():
         assert said == ["greeted", "told"]
         said.clear()
         link.close()
+        time.sleep(2 * TAKEN)
     line._socket.close()
+
+
+def test_while_one_runtime_commands_the_robot_another_is_not_heard(monkeypatch):
+    monkeypatch.setattr(hts_go1_stand_in.line, "TAKEN", 60.0)
+    line = Line(0, 0.0, 0.0, 0.0, 0)
+    first, second = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    for one in (first, second):  # of two computers: on one, the second is refused by itself
+        one.connect(("127.0.0.1", line.port))
+        one.settimeout(5.0)
+
+    def told(runtime, number: int, kp: float) -> None:
+        command = Command(STAND, np.full(12, kp), np.ones(12))
+        runtime.send(pack(COMMAND, number, 0.0, numbers_of_command(command)))
+
+    hello = pack(DONE, 0xFFFFFFFF, 0.0)
+    second.send(pack(COMMAND, 1, 0.0, numbers_of_command(HOLD)))  # nobody has greeted: a stranger
+    assert line.commands(0.0, 1.0) == [] and not line.greeted
+    first.send(hello)
+    told(first, 1, 30.0)
+    assert [one[12] for one in line.commands(0.0, 1.0)] == [30.0] and line.greeting
+    line.greeting = False
+    second.send(hello)
+    told(second, 900, 80.0)
+    told(first, 2, 31.0)
+    assert [one[12] for one in line.commands(0.0, 1.0)] == [31.0] and not line.greeting
+    line.state(0, 0.0, numbers_of_state(standing(0, 0.0)))
+    assert unpack(first.recv(LARGEST)) is not None  # and the states still go to the first
+    monkeypatch.setattr(hts_go1_stand_in.line, "TAKEN", 0.0)  # it has been silent for long
+    second.send(hello)
+    told(second, 1, 40.0)
+    assert [one[12] for one in line.commands(0.0, 1.0)] == [40.0] and line.greeting
+    for one in (first, second, line._socket):
+        one.close()
 
 
 def test_a_runtime_that_comes_after_another_is_not_kept_waiting_for_its_answer():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import json
+import math
 import re
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from hts_go1_runtime.gated import check_whose
 from hts_go1_runtime.link import DAMPING, Command, State
 from hts_go1_runtime.lock import alone
 from hts_go1_runtime.machine import SIT, STAND
-from hts_go1_runtime.meeting import check_lies
+from hts_go1_runtime.meeting import check_attitude, check_lies
 from hts_go1_runtime.posture import carried
 
 SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
@@ -53,6 +54,35 @@ def test_an_imu_that_is_not_read_is_no_upright_robot(visit, capsys, quaternion):
     line = refused(capsys)
     assert "not fit to start: orientation, the IMU's quaternion" in line
     assert "a rotation's is 1" in line and "estart the robot" in line
+
+
+def turned(degrees: float, x: float, y: float, z: float) -> np.ndarray:
+    """A rotation about an axis, (w, x, y, z)."""
+    half = np.radians(degrees) / 2
+    return np.array([np.cos(half), *(np.sin(half) * np.array([x, y, z]))])
+
+
+def down(quaternion: np.ndarray) -> np.ndarray:
+    return dataclasses.replace(standing(0, 0.0), quaternion=quaternion).gravity
+
+
+@pytest.mark.parametrize("attitude", [turned(35.0, 0, 0, 1), turned(-30.0, 1, 0, 0) * [-1, -1, 1, 1]])
+def test_a_quaternion_in_another_order_is_seen_by_the_accelerometer(visit, capsys, attitude):
+    """A robot that stands turned by 35 degrees seems to lean by that; one that leans, to be upright."""
+    link = ScriptedLink(
+        lambda state: dataclasses.replace(state, quaternion=np.roll(attitude, -1), acc=-9.6 * down(attitude))
+    )
+    assert visit("--yes", link=link) == 2
+    assert link.sent == []
+    line = refused(capsys)
+    assert "directions down that are 3" in line and "(w, x, y, z)" in line
+
+
+@pytest.mark.parametrize("attitude", [turned(25.0, 0, 1, 0), turned(170.0, 0, 0, 1)])
+@pytest.mark.parametrize("scale", [-9.6, 9.6, -1.0, math.nan])
+def test_an_accelerometer_that_agrees_or_says_nothing_refuses_nobody(attitude, scale):
+    """Down may be either way of it, and its unit another: nothing else is made of it."""
+    check_attitude([dataclasses.replace(standing(0, 0.0), quaternion=attitude, acc=scale * down(attitude) + 0.3)] * 3)
 
 
 # Knee of a leg that carries a quarter of 12 kg in the default pose: 29.4 N x 0.213 m x sin 0.9 = 4.9 N m.
