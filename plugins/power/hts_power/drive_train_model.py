@@ -79,8 +79,8 @@ class DriveTrainSettings(Config):
     )
     gears: tuple[PositiveFloat, ...] | None = Field(
         None,
-        description="gear ratio of each joint, in the robot's order, up to a factor: copper loss of like motors is then "
-        "expected to go with 1 / ratio²; null: not told",
+        description="gear ratio of each joint, in the robot's order, up to a factor: copper loss of like motors is "
+        "then expected to go with 1 / ratio²; null: not told",
     )
     instant: bool = Field(
         True,
