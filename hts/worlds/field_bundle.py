@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -113,7 +114,9 @@ def instructions(
         "",
         _BEFORE,
         "",
-        who_does_the_rows(facts.spec.name, facts.commands),
+        who_does_the_rows(facts.spec.name, facts.commands, metres(orders, facts) if walks else None),
+        "",
+        "## The rows",
         "",
         _EXPLORING,
         "",
@@ -144,6 +147,16 @@ know of them), `plan.json`, this page. `sha256sum -c {CHECKSUMS}` in this folder
 _EXPLORING = """\
 A policy that explores has its noise inside its graph: run it as any other, add none. Each exploring row has a graph of
 its own, so that no two repeat one noise; what it would have done without is in `policies/mean/`."""
+
+
+def metres(orders: Sequence[Order], facts: Facts) -> float:
+    """How far a bundle's rows walk, m, with the warming up before comparisons and what is trimmed."""
+    walks = [one for order in orders for one in order.schedule.commands]
+    far = sum(one.seconds * math.hypot(one.vx, one.vy) for one in walks)
+    compared = [order.schedule.commands[0] for order in orders if order.role != "collection"]
+    far += sum(WARMUP_SECONDS * math.hypot(one.vx, one.vy) for one in compared[:1])
+    trimmed = [order.schedule.commands[0] for order in orders if order.trim] if facts.hold else []
+    return far + sum(facts.hold.seconds * math.hypot(one.vx, one.vy) for one in trimmed if facts.hold)
 
 
 def _by_yourself(walks: bool, compared: bool) -> str:

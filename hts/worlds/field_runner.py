@@ -8,26 +8,49 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from hts.contracts import RobotSpec
+from hts.worlds.field_places import CHECKSUMS
 
 Entry = Mapping[str, Any]
 LOOP = ("joint_names", "default_pose", "action_scale", "kp", "kd", "control_rate_hz", "observation", "history")
 """Of the manifest's entry of a policy: what its loop is made from."""
 
 
-def who_does_the_rows(robot: str, commands: Sequence[str]) -> str:
-    """A sentence or two for the beginning of the page. commands: `Robot.bundle_commands`."""
+def who_does_the_rows(robot: str, commands: Sequence[str], metres: float | None) -> str:
+    """The beginning of the page: what to do with a runtime, in short steps. commands: `Robot.bundle_commands`; metres:
+    how far the rows walk in all, None where nobody walks."""
     if not commands:
         return (
             f"The package of the robot '{robot}' brings no runtime, so nothing of hts moves it: these rows are done by "
             "a program of your own, and *What your runner has to do*, below, says what it needs."
         )
     typed = "\n".join(f"    {command}" for command in commands)
-    return (
-        f"A runtime that comes with the package of the robot '{robot}' does the rows by itself, writes `logs/` and "
-        "what describes them; then step 3\nbelow is done, and of step 2 at most the weight is left (`mass_kg`), which "
-        "the runtime may take too. On the\nrobot's computer, in this folder:\n\n"
-        f"{typed}"
+    way = (
+        "Keep everybody and everything away from the robot."
+        if metres is None
+        else f"Clear the way. The rows and what comes before them are about {metres:.0f} m, straight on where they "
+        "command no turn and without a pause (a `--rows` of some is less). The robot sees nothing that is in its way."
     )
+    rests = "where it cannot fall" if metres is None else "lay it down with its limbs folded, or hang it up"
+    return f"""\
+## Step by step, with the runtime
+
+A runtime that comes with the package of the robot '{robot}' does the rows by itself, and writes `logs/` and what
+describes them.
+
+1. Copy this whole folder to the robot's computer. There, type `sha256sum -c {CHECKSUMS}`: has it arrived whole?
+2. {way}
+3. Let the robot rest: {rests}. One person looks at the robot only, with the stop key in the hand
+   (*What to watch* and *When to stop*, below).
+4. Type in this folder, one after the other. Read each question before you answer it: it says what begins, what stops
+   the robot, and what there is to know.
+
+{typed}
+
+5. It ended early? Read the last line, look at the robot, do what the line says, and type the last command again. Rows
+   that have a log are not done again. To do one again, move its log out of `logs/`.
+6. Copy all of `logs/`, `logs/mappings/` too, back into this folder beside the run.
+7. Go on with *Then*, below: its step 3 is done, and of step 2 at most the weight is left (`mass_kg`), which the runtime
+   may have been told."""
 
 
 def runner(spec: RobotSpec, entries: Sequence[Entry], first: Mapping[str, float], walks: bool, own_env: bool) -> str:

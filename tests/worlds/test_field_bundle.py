@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from field_folder import SECONDS, bundle, field, fill_in, holding, write_log
+from field_folder import HOLD, SECONDS, bundle, field, fill_in, holding, write_log
 
 from hts.errors import RecordingError, WaitingForRobot, WorldError
 from hts.policies.deploy import DeployedPolicy
@@ -85,9 +85,19 @@ def test_a_bundle_names_the_runtime_that_the_robots_package_brings(run, policy, 
         field(run).collect([policy], walking(0.5, SECONDS))
     text = (bundle(run) / "README.md").read_text()
     assert "of step 2 at most the weight is left (`mass_kg`)" in text  # `hts resume` asks for it
+    assert "about 2 m, straight on" in text  # 3 s at 0.5 m/s
     assert robot.bundle_commands  # and each is there to be typed
     assert all(f"    {command}\n" in text for command in robot.bundle_commands)
     assert "What your runner has to do" not in text
+
+
+def test_the_page_says_how_far_the_robot_walks(run, policy):
+    """Ten minutes of warming up, four blocks, and a trim of each policy, all at 0.8 m/s."""
+    world = holding(run)
+    with pytest.raises(WaitingForRobot):
+        world.head_to_head(policy, policy, [0.8])
+    expected = 0.8 * (600 + 4 * SECONDS + 2 * HOLD.seconds)
+    assert f"about {expected:.0f} m, straight on" in (bundle(run) / "README.md").read_text()
 
 
 def test_a_bundle_without_a_runtime_has_the_loop_of_each_kind_of_policy(robot):

@@ -61,9 +61,9 @@ class Go1(VelocityRobot):
 
     spec = SPEC
     bundle_commands = (
-        "python -m hts_go1_runtime check .",
+        "python -m hts_go1_runtime check .  # nothing moves",
         "python -m hts_go1_runtime run . --link udp://127.0.0.1:9870 --first-run  # new policies: slowly, weakly",
-        "python -m hts_go1_runtime run . --link udp://127.0.0.1:9870",
+        "python -m hts_go1_runtime run . --link udp://127.0.0.1:9870  # Enter: stop at once; s, Enter: sit down",
     )
 
     def __init__(self, settings: Go1Settings) -> None:
