@@ -23,7 +23,7 @@ def who_does_the_rows(robot: str, commands: Sequence[str], metres: float | None)
             f"The package of the robot '{robot}' brings no runtime, so nothing of hts moves it: these rows are done by "
             "a program of your own, and *What your runner has to do*, below, says what it needs."
         )
-    typed = "\n".join(f"    {command}" for command in commands)
+    typed = "\n".join(f"       {command}" for command in commands)
     way = (
         "Keep everybody and everything away from the robot."
         if metres is None
