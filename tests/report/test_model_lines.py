@@ -57,4 +57,4 @@ def test_a_model_that_was_wrong_about_the_policies_it_made_is_said_below_held_ou
 def test_what_a_fit_says_of_its_model_on_the_terminal_stands_on_the_page_too(said):
     held = {"r2": 0.3, "recordings": ["a"], "linear": {"r2": 0.55}}
     about = {"objective": "power", "target": "current", "model": {"name": "lstm"}, "held_out": held}
-    assert "Iteration 1: current: held-out R² 0.300 is 0.250 below that of `linear`, 0.550." in said(about)
+    assert "Iteration 1: target current: held-out R² 0.300 is 0.250 below that of `linear`, 0.550." in said(about)

@@ -70,7 +70,7 @@ def metres(bundle: Bundle, rows: Sequence[Row], first_run: bool, warmup: float) 
     """How far a visit walks from standing up to sitting down, m, at the speeds that are asked for."""
     if first_run:
         first = FirstRun.of(bundle.manifest)
-        walks = [one for file in {row.policy for row in rows} for one in first.commands(rows, file)]
+        walks = [one for file in dict.fromkeys(row.policy for row in rows) for one in first.commands(rows, file)]
     else:
         trims = [row.commands[0] for row in rows if row.trim]
         held = 0.0 if bundle.hold is None else bundle.hold.seconds

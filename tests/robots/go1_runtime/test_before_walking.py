@@ -46,7 +46,7 @@ def test_motors_that_all_give_0_degrees_are_not_read_and_nobody_walks(visit, cap
 def test_what_nobody_measures_and_so_stops_nobody_is_said_before_the_robot_moves(visit, capsys):
     assert visit("--yes", link=giving(temperature=np.full(12, np.nan), voltage=np.nan)) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert f"{UNGUARDED} heat of the motors, low voltage of the pack. The robot will stand up" in said
+    assert f"{UNGUARDED} heat of the motors, low voltage of the pack. It walks about" in said
 
 
 def test_nothing_is_said_where_everything_is_measured(visit, capsys):
