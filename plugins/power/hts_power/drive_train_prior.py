@@ -12,7 +12,8 @@ distributions, with a part that all joints share, one that joints of one kind sh
 - inverter loss |tau|, iron loss |q'| and q'^2, saturation tau^4: none is expected, and not more of them in all of a
   log than shares of the copper loss.
 
-Every share says an order of magnitude; copper's and the losses' were settled on eight development realities.
+Every share says an order of magnitude; copper's and the losses' were settled on eight development realities,
+that of kinds whose gears are told on nine.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import numpy as np
 from hts_power.proxy import JOULE_COEFFICIENT
 
 COPPER = (0.5, 0.67, 0.13)  # deviation of the common part, of a kind's, of a joint's; shares of r/k²
-GEARED_KIND = 0.25  # in the place of a kind's, where gears are told: what is left are motors and gears of other builds
+GEARED_KIND = 0.25  # in the place of a kind's, where gears are told; motors and gears of other builds are left
 DONE = (0.05, 0.02, 0.03)  # of mechanical power that is done
 GENERATED = (0.29, 0.03, 0.03)  # of what is generated: one bus, so hardly a joint's own
 LOSSES = {"torque": 0.05, "speed": 0.02, "speed_squared": 0.02, "torque_fourth": 0.1}  # shares of the copper loss
