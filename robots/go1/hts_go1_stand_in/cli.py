@@ -47,8 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 signal.signal(number, lambda *_: sys.exit(0))
         if given.priority:
             hurry(given.priority)
-        print(f"ready on 127.0.0.1:{line.port}, {body.mass_kg:g} kg", flush=True)
-        try:
+        try:  # who reads that it is ready may end it in the same instant
+            print(f"ready on 127.0.0.1:{line.port}, {body.mass_kg:g} kg", flush=True)
             serve(body, line, given.lockstep, given.quiet_seconds, states)
         finally:
             print(f"{body.falls} falls, {body.clock:.1f} s, {line.lost} packets lost, {line.delayed} late", flush=True)
