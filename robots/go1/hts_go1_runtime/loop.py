@@ -201,7 +201,8 @@ class Loop:
     def _watchdog(self) -> None:
         """Brakes if a step is not done long after it was due."""
         while not self._over.is_set():
-            alarm, now = self._alarm, self.link.now()
+            now = self.link.now()  # first: the other way round, a step done between the two would seem late
+            alarm = self._alarm
             if now >= alarm:
                 self.brake("late loop", f"a step was not done {1e3 * self.limits.late:.0f} ms after it was due")
                 return
