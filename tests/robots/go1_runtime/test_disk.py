@@ -61,7 +61,7 @@ def test_a_disk_that_fills_up_under_a_visit_costs_no_row_that_was_walked(change,
         ["unshare", "--mount", "--map-root-user", "bash", "-c", mount + SCRIPT],
         capture_output=True,
         text=True,
-        timeout=200,
+        timeout=1000,
         check=False,
         env={**os.environ, **{name: str(value) for name, value in variables.items()}},
     )
