@@ -42,7 +42,6 @@ step=validate say hts data validate "$DISK/run/data.zarr"
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_a_full_disk_costs_a_run_with_a_robot_neither_bundle_nor_logs(on_a_disk, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHON", sys.executable)
     done: subprocess.CompletedProcess[str] = on_a_disk("100m", SCRIPT)
