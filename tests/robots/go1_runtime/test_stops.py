@@ -227,6 +227,27 @@ def test_a_step_that_is_done_while_the_watching_thread_reads_the_clock_is_not_la
     assert link.sent == []
 
 
+def test_a_process_that_was_kept_from_looking_while_a_person_thought_looks_again():
+    class Kept(Clocked):
+        kept = 0
+
+        def wait(self, until):
+            if self.kept:
+                self.kept -= 1
+                self.hang(5.0)
+                return []
+            return super().wait(until)
+
+    link = Kept()
+    loop = Loop(link, 0.02, Limits())
+    loop.start()
+    loop.pause()
+    link.kept = 4
+    seen = loop.resume()
+    loop.close()
+    assert seen and seen[0].stamp > 20.0
+
+
 def test_a_line_that_refuses_to_send_undoes_no_stop_and_is_a_lost_link():
     class Gone(ScriptedLink):
         gone = False
