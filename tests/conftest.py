@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from hts.cli.main import main
 from hts.testing.packages import on_path, write_package
@@ -26,7 +26,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from quick_figures import drawn_quickly, quick_figures  # noqa: F401 - a fixture of all tests
 
 # The same examples everywhere: what a search finds is for the one who searches, not for whoever runs the tests next.
-settings.register_profile("same", derandomize=True, database=None)
+# Nor does a busy computer fail any: what takes long is the business of --timeout.
+HASTY = [HealthCheck.too_slow]
+settings.register_profile("same", derandomize=True, database=None, deadline=None, suppress_health_check=HASTY)
 settings.register_profile("search", settings.get_profile("default"))
 settings.load_profile(os.environ.get("HTS_HYPOTHESIS", "same"))
 
@@ -79,6 +81,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     what their tests share."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """torch's own random numbers are the same for each test: a new process takes its seed by chance, and which tests a
+    worker had before is chance too."""
+    if "torch" in sys.modules:
+        sys.modules["torch"].manual_seed(0)
 
 
 @dataclass(frozen=True)
@@ -154,7 +164,7 @@ def made_once(tmp_path_factory: pytest.TempPathFactory, name: str, command: tupl
                 [sys.executable, "-m", "hts.cli.main", *command, "--out", str(folder)],
                 capture_output=True,
                 text=True,
-                timeout=280,
+                timeout=1000,
                 check=False,
             )
             assert done.returncode == 0, done.stderr
@@ -195,7 +205,7 @@ def hts() -> Callable[..., subprocess.CompletedProcess[str]]:
         *arguments: str | Path,
         path: Sequence[Path] = (),
         cwd: Path | None = None,
-        timeout: float = 120.0,
+        timeout: float = 600.0,
         env: Mapping[str, str] | None = None,
     ) -> subprocess.CompletedProcess[str]:
         searched = [*map(str, path), os.environ.get("PYTHONPATH", "")]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from field import stages
@@ -16,10 +17,12 @@ BLIND = 1.0  # s into a stage of which no earlier one tells how long it is, wher
 
 
 class Killer:
-    """wanted: kinds of stages, and KIND-visit; those that `books` hold are done."""
+    """wanted: kinds of stages, and KIND-visit; those that `books` hold are done. clock: s."""
 
-    def __init__(self, wanted: tuple[str, ...], run: Path, books: Books) -> None:
-        self._wanted, self._run, self._books = wanted, run, books
+    def __init__(
+        self, wanted: tuple[str, ...], run: Path, books: Books, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._wanted, self._run, self._books, self._clock = wanted, run, books, clock
         self._stage: str | None = None
         self._began, self._stored = 0.0, 0
 
@@ -32,7 +35,7 @@ class Killer:
     def line(self, text: str) -> None:
         """A line that `hts` printed."""
         if stages.begins(text):
-            self._stage, self._began = stages.current(self._run), time.monotonic()
+            self._stage, self._began = stages.current(self._run), self._clock()
             self._stored = stages.recordings(self._run)
 
     def ended(self) -> None:
@@ -44,7 +47,7 @@ class Killer:
         name = self._stage
         if name is None or stages.kind_of(name) not in self.pending or (self._run / f"{name}.json").exists():
             return False
-        into = time.monotonic() - self._began
+        into = self._clock() - self._began
         stored = stages.recordings(self._run) - self._stored
         if stages.kind_of(name) in stages.IN_THE_WORLD:
             if stored < 1:  # some recordings are in the store, the others are not

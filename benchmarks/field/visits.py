@@ -7,7 +7,6 @@ import json
 import os
 import re
 import shutil
-import socket
 import subprocess
 import threading
 import time
@@ -132,10 +131,7 @@ class Recorder:
         ticks = ["--priority", ROBOTS_PRIORITY] if line.real_time else ["--tick-ms", f"{CONTROL_MS:g}"]
         seed = int(hashlib.sha256(f"{line.seed}/{place}/{attempt}".encode()).hexdigest()[:7], 16)
         bad = ["--loss", str(line.loss), "--late", str(line.late), "--seed", str(seed)]
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
-        options = ["--port", str(port), "--reality", line.reality, *lockstep, *ticks, *bad]
+        options = ["--port", "0", "--reality", line.reality, *lockstep, *ticks, *bad]
         with (place / "robot.txt").open("a") as said, (place / "runtime.txt").open("a") as told:
             robot = start("hts_go1_stand_in", options, subprocess.PIPE, said, **ONE_THREAD, PYTHONWARNINGS="ignore")
             runtime = None
@@ -144,7 +140,8 @@ class Recorder:
                 ready = robot.stdout.readline()
                 if not ready.startswith("ready"):
                     raise CannotRecord(f"The robot's stand-in did not start: {tail(place / 'robot.txt')}")
-                mass = ready.split(", ")[1].split()[0]  # "ready on ..., 12.2 kg": as on a scale
+                address, scale = ready.removeprefix("ready on ").split(", ")  # "ready on 127.0.0.1:9870, 12.2 kg"
+                mass = scale.split()[0]
                 asked = [
                     "--rows",
                     ",".join(rows),
@@ -158,7 +155,7 @@ class Recorder:
                 ]
                 asked += [] if line.warmup is None else ["--warmup", str(line.warmup)]
                 asked += [] if line.real_time else ["--priority", "0"]  # a simulation waits
-                link = f"udp://127.0.0.1:{port}"
+                link = f"udp://{address}"
                 runtime = start(
                     "hts_go1_runtime", ["run", str(place), "--link", link, *asked], told, told, **ONE_THREAD
                 )

@@ -62,7 +62,7 @@ def _elsewhere(folder: Path, missing: Sequence[str]) -> str:
             return (
                 f"{old} holds this bundle's logs under another name: put what is in its {folder.name} into {folder}. "
             )
-    inside = [bundle, *(one for one in bundle.iterdir() if one.is_dir()), *folder.glob("*/")]
+    inside = [bundle, *sorted(one for one in bundle.iterdir() if one.is_dir()), *sorted(folder.glob("*/"))]
     for place in inside:
         own = (folder, folder / "mappings", *(folder / name for name in missing))
         found = [path for name in missing for path in _of_row(place, name)] if place not in own else []

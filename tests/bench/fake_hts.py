@@ -1,6 +1,7 @@
 """A command line that behaves like `hts run` and `hts resume`, in a second: for tests of the queue.
 
-`FAKE_HTS` names a folder: what was typed is noted in its typed.txt, stages take FAKE_SECONDS. Seed 13 fails.
+`FAKE_HTS` names a folder: what was typed is noted in its typed.txt, stages take FAKE_SECONDS, and the run of a seed
+does not end while there is a file hold-SEED. Seed 13 fails.
 """
 
 from __future__ import annotations
@@ -100,6 +101,8 @@ def main() -> int:
         print("error: thirteen")
         return 2
     for stage in STAGES:
+        while stage == "final" and (place / f"hold-{seed}").exists():
+            time.sleep(0.02)
         path = folder / f"{stage}.json"
         if not path.exists():
             time.sleep(float(os.environ.get("FAKE_SECONDS", "0")))

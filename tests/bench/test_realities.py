@@ -282,18 +282,28 @@ def test_killed_at_any_moment_nothing_is_lost_and_nothing_runs_on(place, monkeyp
         "sys.exit(t.batch(Path(sys.argv[3]), t.jobs(seeds=[0, 1, 2, 3]))[0])"
     )
     command = [sys.executable, "-c", program, str(BENCHMARKS), str(Path(__file__).parent), str(place)]
-    for begun in (1, 3):  # as soon as so many runs are in their midst or done
-        process = subprocess.Popen(command)
-        until = time.monotonic() + 120
-        while len(list((place / "runs").glob("*/collect.json"))) + done(place) < begun and time.monotonic() < until:
+    held = [place / f"hold-{seed}" for seed in range(4)]
+    for path in held:
+        path.touch()
+
+    def wait(look) -> None:
+        until = time.monotonic() + 200
+        while not look():
+            assert time.monotonic() < until
             time.sleep(0.02)
-        assert time.monotonic() < until
+
+    for begun, free in ((1, 0), (3, 2)):  # as soon as so many runs are in their midst or done, of which some may end
+        for path in held[:free]:
+            path.unlink()
+        process = subprocess.Popen(command)
+        wait(lambda begun=begun: len(list((place / "runs").glob("*/collect.json"))) + done(place) >= begun)
         assert process.poll() is None, "it ended by itself, or never came so far"
         process.send_signal(signal.SIGKILL)
         process.wait()
-        time.sleep(0.2)
-        assert not any(str(place) in text for text in command_lines())
-    assert subprocess.run(command, check=False, timeout=60).returncode == 0
+        wait(lambda: not any(str(place) in text for text in command_lines()))
+    for path in held[2:]:
+        path.unlink()
+    assert subprocess.run(command, check=False, timeout=500).returncode == 0
     assert " resume " in (place / "typed.txt").read_text()
     lines = (place / "lines.jsonl").read_text().splitlines()
     assert sorted(json.loads(text)["seed"] for text in lines) == [0, 1, 2, 3]

@@ -45,7 +45,7 @@ def on_a_disk(tmp_path: Path) -> Callable[..., subprocess.CompletedProcess[str]]
             ["unshare", "--mount", "--map-root-user", *server, "bash", "-c", begin + script],
             capture_output=True,
             text=True,
-            timeout=200,
+            timeout=1000,
             check=False,
             env={**os.environ, "DISK": str(disk), "OUT": str(tmp_path)},
         )

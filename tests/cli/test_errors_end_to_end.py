@@ -92,7 +92,6 @@ def test_a_bad_command_is_one_line_in_a_real_process_too(hts, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 class TestDamage:
     """Each: the run stops with one line; what the line says is done; resuming then gives the undisturbed result."""
 
@@ -223,7 +222,6 @@ def test_a_policy_of_another_robot_is_refused(fails, broken_kit_run):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_a_full_disk_stops_a_run_with_one_line_and_loses_nothing(kit_run, hts_kit, on_a_disk, tmp_path):
     tested = " ".join(json.loads((kit_run.folder / "iterations/00/test.json").read_text())["recordings"])
     script = f"""

@@ -23,11 +23,13 @@ mount -o remount,size=100m "$DISK"
 step=waiting say hts resume "$DISK/run"
 cd "$DISK"/run/world/field/*/ && sha256sum -c --quiet SHA256SUMS > "$OUT/sums" 2>&1
 
-"$PYTHON" -W ignore -m hts_go1_stand_in --port 0 --lockstep --tick-ms 20 > "$OUT/robot" &
+"$PYTHON" -W ignore -m hts_go1_stand_in --port 0 --lockstep --tick-ms 20 --quiet-seconds 300 > "$OUT/robot" &
 until grep -q ready "$OUT/robot"; do sleep 0.1; done
 port=$(sed 's/.*127.0.0.1:\\([0-9]*\\),.*/\\1/' "$OUT/robot")
+mkfifo "$OUT/keys"
+exec 3<> "$OUT/keys"  # an input that does not end
 link="--link udp://127.0.0.1:$port --lockstep"
-step=visit say "$PYTHON" -m hts_go1_runtime run . $link --yes --idle-seconds 1 --mass 12
+step=visit say "$PYTHON" -m hts_go1_runtime run . $link --yes --idle-seconds 1 --mass 12 <&3
 kill %1
 sha256sum logs/*.csv > "$OUT/logs-before"
 
@@ -42,7 +44,6 @@ step=validate say hts data validate "$DISK/run/data.zarr"
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 def test_a_full_disk_costs_a_run_with_a_robot_neither_bundle_nor_logs(on_a_disk, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHON", sys.executable)
     done: subprocess.CompletedProcess[str] = on_a_disk("100m", SCRIPT)

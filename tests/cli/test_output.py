@@ -87,7 +87,7 @@ def began(folder, work, **given):
 
 def hts(*arguments, **given):
     command = [sys.executable, "-m", "hts.cli.main", *arguments]
-    return subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False, timeout=100, **given)
+    return subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False, timeout=300, **given)
 
 
 def test_a_run_whose_reader_is_gone_stops_with_a_line_that_blames_nobody_else(folder):
@@ -96,7 +96,7 @@ def test_a_run_whose_reader_is_gone_stops_with_a_line_that_blames_nobody_else(fo
     os.close(writer)
     os.read(reader, 10)
     os.close(reader)
-    _, err = run.communicate(timeout=60)
+    _, err = run.communicate(timeout=300)
     said = "nobody reads it any more. Write it to a file, such as with `> FILE`."
     assert err == f"error: standard output: {said} `hts resume {folder}` then goes on.\n"
     assert run.returncode == 2 and not (folder / "done").exists()
@@ -108,7 +108,7 @@ def test_a_run_whose_terminal_is_gone_goes_on(folder):
     os.close(terminal)
     os.read(master, 10)
     os.close(master)
-    _, err = run.communicate(timeout=60)
+    _, err = run.communicate(timeout=300)
     assert (run.returncode, err) == (0, "")
     assert (folder / "done").exists()
 
@@ -116,7 +116,7 @@ def test_a_run_whose_terminal_is_gone_goes_on(folder):
 def test_a_full_disk_under_standard_output_is_not_told_of_the_runs_folder(folder):
     with open("/dev/full", "w") as full:
         run = began(folder, TELLS, stdout=full)
-        _, err = run.communicate(timeout=60)
+        _, err = run.communicate(timeout=300)
     assert err.startswith("error: standard output: the disk is full.") and err.count("\n") == 1, err
     assert f"`hts resume {folder}` then goes on" in err
     assert run.returncode == 2
@@ -157,7 +157,7 @@ def test_a_run_that_is_told_to_end_says_how_to_go_on_and_clears_up(folder, numbe
     run = began(folder, WAITS, stdout=subprocess.PIPE)
     assert run.stdout.readline() == "ready\n"
     run.send_signal(number)
-    _, err = run.communicate(timeout=60)
+    _, err = run.communicate(timeout=300)
     assert err == f"\nstopped by {number.name}: `hts resume {folder}` goes on\n"
     assert run.returncode == 128 + number
     assert (folder / "cleared").exists()
@@ -170,7 +170,7 @@ def test_a_library_that_makes_an_error_of_its_own_of_the_end_shows_no_traceback(
     run = began(folder, INTERRUPTED, stdout=subprocess.PIPE)
     assert run.stdout.readline() == "ready\n"
     run.send_signal(number)
-    _, err = run.communicate(timeout=60)
+    _, err = run.communicate(timeout=300)
     assert (run.returncode, err) == (status, f"\nstopped{by}: `hts resume {folder}` goes on\n")
 
 
@@ -179,7 +179,7 @@ def test_a_second_ctrl_c_ends_the_clearing_up_too(folder):
     for _ in range(2):
         assert run.stdout.readline() == "ready\n"
         run.send_signal(signal.SIGINT)
-    _, err = run.communicate(timeout=60)
+    _, err = run.communicate(timeout=300)
     assert (run.returncode, err) == (130, f"\nstopped: `hts resume {folder}` goes on\n")
 
 
@@ -190,7 +190,7 @@ def test_a_run_after_nohup_hears_of_no_terminal(folder):
     with pytest.raises(subprocess.TimeoutExpired):
         run.wait(timeout=1)
     run.send_signal(signal.SIGTERM)
-    _, err = run.communicate(timeout=60)
+    _, err = run.communicate(timeout=300)
     assert "stopped by SIGTERM" in err
 
 

@@ -313,7 +313,6 @@ def test_learning_does_not_see_the_lab():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(240)
 def test_the_example_runs_from_command_to_report(hts_here, installed, tmp_path):
     folder = tmp_path / "run"
     done = hts_here(

@@ -140,7 +140,7 @@ def test_the_site_is_built_without_a_warning(tmp_path):
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
         capture_output=True,
         text=True,
-        timeout=200,
+        timeout=1000,
         check=False,
     )
     assert done.returncode == 0, done.stderr

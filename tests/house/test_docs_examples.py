@@ -168,7 +168,7 @@ class Reader:
             stderr=subprocess.STDOUT,
             text=True,
             env=self.environment,
-            timeout=280,
+            timeout=1000,
             check=False,
         )
         said = f"$ {command}\n{done.stdout}"
@@ -186,7 +186,7 @@ class Reader:
             text=True,
             cwd=self.folder,
             env=self.environment,
-            timeout=240,
+            timeout=1000,
             check=False,
         )
         assert done.returncode == 0, done.stdout
@@ -229,7 +229,7 @@ def has_examples(page: Path) -> bool:
 
 # The README's one block is a part of the manual's, see below.
 @pytest.mark.slow
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(2400)
 @pytest.mark.parametrize("page", [page for page in PAGES[1:] if has_examples(page)], ids=lambda page: page.stem)
 def test_following_a_page_gives_what_it_shows(page, tmp_path):
     reader = Reader(tmp_path)

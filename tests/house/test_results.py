@@ -24,7 +24,7 @@ def test_every_number_of_the_pages_comes_from_the_lines():
         [sys.executable, str(REPOSITORY / "benchmarks/realities.py"), "write-docs", "--check"],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr

@@ -166,7 +166,7 @@ def test_an_export_that_is_told_to_end_leaves_nothing_behind(policy, tmp_path, n
     assert command.stdout.readline() == "ready\n"
     assert [path.name for path in place.glob(".export-*/*")] == ["mine.onnx"]
     command.send_signal(number)
-    _, err = command.communicate(timeout=60)
+    _, err = command.communicate(timeout=300)
     assert (command.returncode, err, list(place.iterdir())) == (128 + number, said, [])
 
 

@@ -188,7 +188,7 @@ def test_constants_in_another_file_are_never_opened(tmp_path):
 
 # ------------------------------------------------------------------------------------------------------------ fuzzing
 
-FUZZ = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FUZZ = settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 
 
 def one_line_or_right(read):

@@ -86,6 +86,7 @@ class Boom:
         ({"amps": np.zeros((30, 3))}, r"Name its entries: 'amps\[0..2\]'"),
         ({"t": np.zeros(30)}, "time does not increase"),
         ({"tau": None}, "No column named"),
+        (dict.fromkeys(("amps", "tau", "t"), np.array(["a"] * 30)), "'t' holds <U1"),  # the first that is asked for
     ],
 )
 def test_a_wrong_log_is_one_line_with_the_file(read, arrays, change, expected):

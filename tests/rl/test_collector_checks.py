@@ -154,7 +154,7 @@ class Closed(Walk):
     def simulate(self, inputs):
         if self.first:  # the other group is in its physics while this one fails
             self.first = False
-            self.both.wait(timeout=30)
+            self.both.wait(timeout=300)
         if not self.ends:
             time.sleep(0.01)
             self.seen.append("closed" if self.closed else "simulated")

@@ -131,7 +131,7 @@ def test_a_seed_given_later_is_that_of_one_env(make):
 
 @pytest.mark.skipif(available() < 2, reason="one core: groups take turns")
 def test_groups_are_in_their_physics_at_the_same_time(robot, make):
-    env, meeting = make(2), Barrier(2, timeout=60.0)
+    env, meeting = make(2), Barrier(2, timeout=300.0)
     for group in env.groups():
         step = group.engine.step
         group.engine.step = lambda ctrl, step=step: (meeting.wait(), step(ctrl))  # goes on when both are there

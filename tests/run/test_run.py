@@ -29,7 +29,7 @@ def script(name: str) -> ModuleType:
 
 kills = script("kill_and_resume")
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = pytest.mark.slow
 
 STAGES = [
     "collect",

@@ -62,7 +62,7 @@ def in_a_process(tmp_path: Path, *arguments: str, **environment: str) -> str:
         check=False,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         cwd=tmp_path,
         env={**os.environ, **environment},
     )

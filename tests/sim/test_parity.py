@@ -14,7 +14,7 @@ pytest.importorskip("hts_go1", reason="the robot of this test is not installed")
 # A cold cache of compiled kernels costs about a minute, a warm one a few seconds.
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.timeout(600),
+    pytest.mark.timeout(1800),
     # Asked without importing it, which takes seconds also for who collects these tests and runs others.
     pytest.mark.skipif(importlib.util.find_spec("mujoco_warp") is None, reason="the extra `gpu` is not installed"),
 ]

@@ -142,6 +142,16 @@ def test_logs_that_were_copied_one_folder_too_deep_or_too_high_are_pointed_out(r
     assert f"{found / '00.csv'} may be the log of row 00: put what lies there into {logs}. " in str(waiting.value)
 
 
+def test_of_logs_that_were_copied_into_several_folders_the_first_by_its_name_is_pointed_out(run, policy, logs):
+    for place in "hbgdcfea":
+        (logs.parent / place).mkdir()
+        shutil.copy(logs / "00.csv", logs.parent / place)
+    (logs / "00.csv").unlink()
+    with pytest.raises(WaitingForRobot) as waiting:
+        field(run).collect([policy], ASKED)
+    assert f"{logs.parent / 'a' / '00.csv'} may be the log of row 00" in str(waiting.value)
+
+
 def test_a_bundle_that_was_renamed_is_known_by_its_plan(run, policy, logs):
     old = logs.parent.with_name("first-visit")
     logs.parent.rename(old)

@@ -222,12 +222,12 @@ def test_a_killed_run_leaves_no_twin_behind(tmp_path):
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment) as parent:
         child = int(parent.stdout.readline())
         parent.kill()
-    for _ in range(100):
+    for _ in range(600):
         if not _alive(child):
             return
         time.sleep(0.1)
     os.kill(child, signal.SIGKILL)
-    pytest.fail("the twin's process was still there 10 s after its parent was killed")
+    pytest.fail("the twin's process was still there a minute after its parent was killed")
 
 
 def _alive(pid: int) -> bool:

@@ -23,6 +23,7 @@ from hts_go1_runtime.safety import Guard
 
 FIRST_STATE = 10.0  # s to wait for a robot that says nothing yet
 AFRESH = 0.1  # s of states that are looked at anew once the states that waited on the line are let go
+LOOKS = 10  # times AFRESH at most, until there is a state
 CLOSE = 1e-6  # s: a simulation's clock and the deadlines are sums of different floats
 KEPT_TIMES = 200_000  # steps whose times are kept: more than an hour
 
@@ -168,7 +169,9 @@ class Loop:
         from now on is returned, oldest first. Raises Stopped."""
         if not self.link.simulated:  # a simulation has waited
             self.link.wait(self.link.now())
-        seen = self.watch(AFRESH)
+        seen: list[State] = []
+        for _ in range(LOOKS):
+            seen = seen or self.watch(AFRESH)  # once, unless this process was kept from looking, or nobody speaks
         self._guard = Guard(self.limits)
         self.due = self.link.now()
         return seen
@@ -201,7 +204,8 @@ class Loop:
     def _watchdog(self) -> None:
         """Brakes if a step is not done long after it was due."""
         while not self._over.is_set():
-            alarm, now = self._alarm, self.link.now()
+            now = self.link.now()  # first: the other way round, a step done between the two would seem late
+            alarm = self._alarm
             if now >= alarm:
                 self.brake("late loop", f"a step was not done {1e3 * self.limits.late:.0f} ms after it was due")
                 return

@@ -142,7 +142,7 @@ def places(content, path=()):
         yield from places(content[key], (*path, key))
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_any_value_in_any_place_of_a_manifest_is_taken_or_refused_in_one_line(made, tmp_path_factory, data):
     manifest = json.loads((made / "manifest.json").read_text())

@@ -15,15 +15,18 @@ import pytest
 # that the disk is full long before the row is over, however late the writing thread comes.
 SAMPLES = {"00": 50, "01": 1000}
 SCRIPT = """
+mkfifo "$OUT/keys"
+exec 3<> "$OUT/keys"  # an input that does not end
 cp -r "$BUNDLE" "$DISK/bundle"
 used=$(du -sk "$DISK" | cut -f1)
 mount -o remount,size=$((used + 72))k "$DISK"
 runtime() {
-  "$PYTHON" -W ignore -m hts_go1_stand_in --port 0 --lockstep --tick-ms 20 --loss 0.01 --late 0.02 > "$OUT/$1.robot" &
+  "$PYTHON" -W ignore -m hts_go1_stand_in --port 0 --lockstep --tick-ms 20 --quiet-seconds 300 \\
+    --loss 0.01 --late 0.02 > "$OUT/$1.robot" &
   until grep -q ready "$OUT/$1.robot"; do sleep 0.1; done
   port=$(sed 's/.*127.0.0.1:\\([0-9]*\\),.*/\\1/' "$OUT/$1.robot")
   "$PYTHON" -m hts_go1_runtime run "$DISK/bundle" --link udp://127.0.0.1:$port --lockstep --yes --priority 0 \\
-    --idle-seconds 1 --warmup 0 > "$OUT/$1.out" 2> "$OUT/$1.err"
+    --idle-seconds 1 --warmup 0 > "$OUT/$1.out" 2> "$OUT/$1.err" <&3
   echo $? > "$OUT/$1.code"
   kill %%
   wait
@@ -61,7 +64,7 @@ def test_a_disk_that_fills_up_under_a_visit_costs_no_row_that_was_walked(change,
         ["unshare", "--mount", "--map-root-user", "bash", "-c", mount + SCRIPT],
         capture_output=True,
         text=True,
-        timeout=200,
+        timeout=1000,
         check=False,
         env={**os.environ, **{name: str(value) for name, value in variables.items()}},
     )

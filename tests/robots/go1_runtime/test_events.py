@@ -30,13 +30,14 @@ def test_events_of_a_full_disk_wait_in_order_and_are_said_at_once(tmp_path, monk
     events = Events(tmp_path / "events.jsonl")
     for number in range(3):
         events.say("row", number=number)
-    said, end = "", time.monotonic() + 10
-    while said.count("row number=") < 3 and time.monotonic() < end:
+    said, refused, end = "", "cannot be written yet (No space left on device)", time.monotonic() + 60
+    while (said.count("row number=") < 3 or refused not in said) and time.monotonic() < end:
         time.sleep(0.01)
         said += capsys.readouterr().out
     assert said.count("row number=") == 3  # aloud, whatever the disk does
-    assert said.count("cannot be written yet (No space left on device)") == 1
-    assert (tmp_path / "events.jsonl").read_text() == ""  # no half of a line
+    assert said.count(refused) == 1
+    while (tmp_path / "events.jsonl").read_text():  # no half of a line stays, though it tries again and again
+        assert time.monotonic() < end
     full.clear()
     events.close()
     kept = [json.loads(line)["number"] for line in (tmp_path / "events.jsonl").read_text().splitlines()]
@@ -74,18 +75,18 @@ def test_a_stdout_that_is_closed_costs_no_event_and_no_exit_code(tmp_path):
     talker.stdout.close()
     talker.stdin.write(b"\n")
     talker.stdin.close()
-    assert talker.wait(30) == 0
+    assert talker.wait(100) == 0
     assert [json.loads(line)["what"] for line in (tmp_path / "events.jsonl").read_text().splitlines()] == ["one", "two"]
     assert (tmp_path / "held.json").read_text() == "{}"
 
 
 def test_a_terminal_that_stands_still_keeps_nothing_from_the_disk(tmp_path, monkeypatch):
     goes_on = threading.Event()
-    monkeypatch.setattr("builtins.print", lambda *text, **how: goes_on.wait(20))
+    monkeypatch.setattr("builtins.print", lambda *text, **how: goes_on.wait(100))
     events = Events(tmp_path / "events.jsonl")
     for what in ("one", "two"):
         events.say(what)
-    path, end = tmp_path / "events.jsonl", time.monotonic() + 10
+    path, end = tmp_path / "events.jsonl", time.monotonic() + 60
     while not (path.exists() and path.read_text().count("\n") == 2):
         assert time.monotonic() < end, "the disk waits for the terminal"
         time.sleep(0.01)

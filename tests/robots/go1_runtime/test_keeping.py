@@ -91,8 +91,8 @@ def test_signals_that_come_before_the_question_are_no_answer_to_it(
     bundle, visit, refusing, elsewhere, monkeypatch, capsys, second
 ):
     """Both come while the other folder is tried; nothing is given up until somebody says so after it was said."""
-    monkeypatch.setattr("hts_go1_runtime.keeping.PATIENCE", 1.0)
-    monkeypatch.setattr("hts_go1_runtime.log.RowLog.write_elsewhere", lambda log, folder: None)
+    monkeypatch.setattr("hts_go1_runtime.keeping.PATIENCE", 0.2)
+    monkeypatch.setattr("hts_go1_runtime.log.RowLog.write_elsewhere", lambda log, folder: os.kill(os.getpid(), second))
     events = bundle / "logs" / "events.jsonl"
     events.touch()
     given_up = []
@@ -100,9 +100,7 @@ def test_signals_that_come_before_the_question_are_no_answer_to_it(
     def work() -> None:
         while "waiting for the disk" not in events.read_text():
             time.sleep(0.05)
-        os.kill(os.getpid(), signal.SIGHUP)
-        time.sleep(0.3)
-        os.kill(os.getpid(), second)
+        os.kill(os.getpid(), signal.SIGHUP)  # and the second as soon as this one is heeded
         while "cannot be written elsewhere" not in events.read_text():
             time.sleep(0.05)
         time.sleep(0.5)

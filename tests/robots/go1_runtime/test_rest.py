@@ -6,7 +6,7 @@ import importlib.util
 import json
 import os
 import queue
-import time
+import threading
 from pathlib import Path
 
 import pytest
@@ -15,6 +15,7 @@ from hts_go1_runtime.bundle import load_bundle
 from hts_go1_runtime.machine import SIT
 from hts_go1_runtime.operator_key import listen
 from hts_go1_runtime.question import metres
+from hts_go1_runtime.rest import Rest
 
 SPEC = importlib.util.spec_from_file_location("scripted", Path(__file__).with_name("scripted.py"))
 scripted = importlib.util.module_from_spec(SPEC)
@@ -66,19 +67,23 @@ def test_one_that_was_asked_before_it_stands_does_not_stand_up(bundle, visit):
 
 
 def test_s_and_enter_let_it_sit_down(bundle, visit, monkeypatch, capsys):
-    reading, typing = os.pipe()
+    (reading, typing), heard, ask = os.pipe(), threading.Event(), Rest.ask
+    monkeypatch.setattr(Rest, "ask", lambda rest, how: (ask(rest, how), heard.set()))
+    before = set(threading.enumerate())
     with os.fdopen(reading) as keys:
         monkeypatch.setattr("sys.stdin", keys)
 
         def typed() -> None:
             os.write(typing, b" S \n")
-            time.sleep(1.0)  # for the thread that reads it
+            assert heard.wait(60)  # by the thread that reads it
 
         link = doing(typed)
         assert visit("--yes", link=link) == 2
         assert "Asked to sit down (the key s)" in capsys.readouterr().err
         assert sits_at_last(link)
         os.close(typing)
+        for thread in set(threading.enumerate()) - before:
+            thread.join(60)
 
 
 @pytest.mark.parametrize("line", ["\n", "ss\n", "stop\n", "x\n"])
@@ -88,7 +93,7 @@ def test_any_other_line_stops_the_robot_at_once(line):
     with os.fdopen(reading) as keys:
         listen(lambda reason, detail: said.put(f"{reason}: {detail}"), keys, said.put, lambda how: said.put(how))
         os.write(typing, b"s\n" + line.encode())
-        assert [said.get(timeout=10), said.get(timeout=10)] == ["the key s", "operator: a key on the terminal"]
+        assert [said.get(timeout=60), said.get(timeout=60)] == ["the key s", "operator: a key on the terminal"]
         os.close(typing)
 
 
