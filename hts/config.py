@@ -83,6 +83,17 @@ def check_minibatches(ppo: PPOConfig, num_envs: int) -> None:
         )
 
 
+def check_warmup(ppo: PPOConfig, num_envs: int, steps: int) -> None:
+    """Raises ValueError where the batches that fit the critic alone are all that there are."""
+    batches = max(1, round(steps / (num_envs * ppo.horizon)))
+    if ppo.warmup_batches >= batches:
+        raise ValueError(
+            f"ppo.warmup_batches: {ppo.warmup_batches} of the training's {batches} batches (steps {steps} / (num_envs "
+            f"{num_envs} x ppo.horizon {ppo.horizon})) fit the critic alone, so the policy would not learn; expected "
+            f"at most {batches - 1}, or more steps"
+        )
+
+
 class FinetuneConfig(Config):
     """Fine-tuning of all candidates of an iteration, together."""
 
@@ -134,6 +145,7 @@ class FinetuneConfig(Config):
     @model_validator(mode="after")
     def _a_batch_has_so_many_parts(self) -> FinetuneConfig:
         check_minibatches(self.ppo, self.num_envs)
+        check_warmup(self.ppo, self.num_envs, self.steps)
         return self
 
 
@@ -155,6 +167,7 @@ class PretrainConfig(Config):
     @model_validator(mode="after")
     def _a_batch_has_so_many_parts(self) -> PretrainConfig:
         check_minibatches(self.ppo, self.num_envs)
+        check_warmup(self.ppo, self.num_envs, self.steps)
         return self
 
 

@@ -51,6 +51,7 @@ MISTAKES: dict[str, str] = {
     "a parameter of the twin out of range": WHOLE + "world: {dynamics: {trunk_mass_scale: 13}}\n",
     "λ for an objective that is not in the run": WHOLE + "sweep: {weights: {faek: [1.0]}}\n",
     "every λ is zero": WHOLE + "sweep: {weights: {fake: [0.0]}}\n",
+    "a critic that learns to the end": WHOLE + "finetune: {steps: 30_000, ppo: {warmup_batches: 20}}\n",
     "an engine that does not exist": WHOLE + "engine: wrap\n",
 }
 

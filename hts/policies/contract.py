@@ -25,6 +25,7 @@ ASKED = {
     "delay_seconds": "from observation to the target's effect that it was trained with, s: one number or [low, high]",
 }
 """Every key that has to be stated, and what it means."""
+OBSERVED = "its parts in its order, with their scales"
 GAINS = ("kp", "kd")
 OF_JOINTS = ("default_pose", "action_scale", *GAINS)
 
@@ -156,11 +157,12 @@ def _number(path: Path, what: str, value: Any) -> float:
     return float(value)
 
 
-def ask(path: Path, contract: Contract) -> None:
-    """Raises PolicyError that names all that the source does not state, and how to state it."""
-    missing = contract.missing()
+def ask(path: Path, contract: Contract, observed: bool = True) -> None:
+    """Raises PolicyError that names all that the source does not state, and how to state it. observed: whether what the
+    policy sees is stated."""
+    missing = [*contract.missing(), *([] if observed else ["observation"])]
     if missing:
-        wanted = "; ".join(f"{key} ({ASKED[key]})" for key in missing)
+        wanted = "; ".join(f"{key} ({ASKED.get(key, OBSERVED)})" for key in missing)
         raise PolicyError(
             f"{path}: neither it nor what lies beside it says {wanted}. State them in a layout (--layout L.yaml)"
             f"{_of_rest(missing)}."

@@ -66,9 +66,15 @@ def export_policy(
 
 def given_file(policy: str | Path, endings: Sequence[str]) -> Path:
     """The file that was named instead of a run's policy. Raises PolicyError if it is none."""
+    from hts.policies.files import ELSEWHERE
+
     path = Path(policy)
     if path.suffix not in endings or not path.is_file():
-        raise PolicyError(f"{policy}: expected a policy file that exists, ending in {' or '.join(endings)}.")
+        other = path.suffix.lower() in ELSEWHERE and path.is_file()
+        how = f" One of another library comes in by: hts policy import {path} --robot NAME --to FILE.safetensors"
+        raise PolicyError(
+            f"{policy}: expected a policy file that exists, ending in {' or '.join(endings)}.{how if other else ''}"
+        )
     return path
 
 

@@ -133,7 +133,7 @@ def _finished(
     contract = replace(layout.contract, joint_names=layout.joint_names or layout.contract.joint_names)
     contract = contract.over(source.contract)
     if strict:
-        ask(path, contract)
+        ask(path, contract, bool(layout.observation or source.observation or layout.rest))
     observation = layout.observation or sized(source.observation, robot.num_joints) or tuple(seen.parts)
     for part in observation:
         if "hold" not in part and "stand_in" not in part:
@@ -142,16 +142,26 @@ def _finished(
     inputs, outputs = network.layers[0][0].shape[1], network.layers[-1][0].shape[0]
     size = sum(int(part["size"]) for part in layout.observation)
     several = _history(inputs, layout.observation, robot.num_joints)
+    if several:
+        raise PolicyError(
+            f"{path}: its actor takes {inputs} observations, a whole one has {size}{several}. Train it again with one."
+        )
+    if outputs == 2 * robot.num_joints and network.log_std is None:
+        raise PolicyError(
+            f"{path}: its actor gives {outputs} numbers for {robot.num_joints} joints: with a sigma that depends on "
+            "what it sees (rsl_rl's state_dependent_std, HeteroscedasticGaussianDistribution), or a BetaDistribution? "
+            "hts has one sigma for all states. Train it again with rsl_rl's GaussianDistribution."
+        )
     if inputs != size and given is not None and given.observation:
         raise PolicyError(
-            f"{path}: its actor takes {inputs} observations, the parts of the layout's `observation` have {size}"
-            f"{several}. Add the parts that are missing, correct their sizes, or leave the key out if it observes what "
+            f"{path}: its actor takes {inputs} observations, the parts of the layout's `observation` have {size}. "
+            "Add the parts that are missing, correct their sizes, or leave the key out if it observes what "
             f"'{robot.name}' does."
         )
     if inputs != size or outputs != robot.num_joints:
         raise PolicyError(
             f"{path}: its actor maps {inputs} observations to {outputs} actions, expected {size} to "
-            f"{robot.num_joints} for robot '{robot.name}'{several}. Say with a layout (--layout) what it observes, or "
+            f"{robot.num_joints} for robot '{robot.name}'. Say with a layout (--layout) what it observes, or "
             "use a policy of this robot."
         )
     check_values(path, contract, robot)
@@ -162,6 +172,9 @@ def _finished(
     sizes = Sizes(sum(int(part["size"]) for part in seen.parts), seen.critic, outputs, hidden)
     whole = with_new_critic(path, tensors, sizes, std)
     states = proof.before_replay(path, contract, robot)
+    if made.get("kind") == "rsl_rl" and not source.activation:
+        why = f"{states['actions'].why}; nothing says its activation, taken to be ELU"
+        states["actions"] = proof.State(proof.NOT_PROVEN, why)
     if examples is not None:
         count = sum(int(part["size"]) for part in seen.parts)
         wanted = examples[1].double()[:, maps.joints] * maps.gain + maps.shift

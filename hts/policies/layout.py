@@ -35,12 +35,14 @@ class Layout:
     observation: parts in the checkpoint's order, [{name, size, scale}]; names as in our own observation or as mjlab,
     Isaac Lab, legged_gym and mujoco_playground call them; the network was given scale x value (1 if missing);
     `stand_in` (a part of ours, whose first numbers are taken) or `hold` (a number) in the place of what no robot
-    measures. joint_names: the checkpoint's joint order; none: the robot's. contract: what else its maker states.
+    measures. joint_names: the checkpoint's joint order; none: the robot's. contract: what else its maker states. rest:
+    whether what is left out is the robot's own, what it observes too.
     """
 
     observation: tuple[Mapping[str, Any], ...]
     joint_names: tuple[str, ...] | None = None
     contract: Contract = field(default_factory=Contract)
+    rest: bool = False
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ def load_layout(file: Path, robot: RobotSpec | None = None) -> Layout:
                 said[key], said_by[key] = whole, f"{file.name} and the robot"
         contract = Contract(**said, said_by=said_by).of_robot(robot)
     parts = tuple(part.model_dump(exclude_none=True) for part in found.observation or ())
-    return Layout(parts, found.joint_names, contract)
+    return Layout(parts, found.joint_names, contract, found.rest == "robot")
 
 
 def seen_in_velocity_task(robot: RobotSpec) -> Seen:

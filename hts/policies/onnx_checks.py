@@ -75,7 +75,8 @@ def _check(path: Path, model: Any, what: str) -> None:
             # reading it would open whatever file it names
             raise PolicyError(
                 f"{path}: its constant '{_shown(tensor.name)}' lies in another file. Export it again with all "
-                "inside (torch.onnx.export(…, external_data=False))."
+                "inside (torch.onnx.export(…, external_data=False)), or bring both files into one at home: "
+                "onnx.save(onnx.load(FILE), 'one.onnx')."
             )
         count = 1
         for size in tensor.dims:

@@ -6,7 +6,8 @@ function its name, an object its fields.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +31,18 @@ def source_beside(path: Path, params: Path | None = None) -> Source:
     if params is not None and not (params / "env.yaml").is_file():
         raise PolicyError(f"{params}: has no env.yaml. Give the folder that mjlab or Isaac Lab calls `params`.")
     found = Source()
-    for name, read in (("env.yaml", _of_env), ("agent.yaml", _of_agent)):
+    said = {name: _load(folder / name) for name in ("env.yaml", "agent.yaml") if (folder / name).is_file()}
+    seen = _groups(said.get("agent.yaml", {}))
+    for name, values in said.items():
         file = folder / name
-        if file.is_file():
-            try:
-                found = found.over(read(file, _load(file)))
-            except (AttributeError, TypeError, ValueError, KeyError) as error:
-                what = f"{type(error).__name__}: {error}".splitlines()[0]
-                raise PolicyError(
-                    f"{file}: not as mjlab or Isaac Lab writes it ({what[:120]}). Move it away and state its contract "
-                    "in a layout."
-                ) from error
+        try:
+            found = found.over(_of_env(file, values, seen) if name == "env.yaml" else _of_agent(file, values))
+        except (AttributeError, TypeError, ValueError, KeyError) as error:
+            what = f"{type(error).__name__}: {error}".splitlines()[0]
+            raise PolicyError(
+                f"{file}: not as mjlab or Isaac Lab writes it ({what[:120]}). Move it away and state its contract "
+                "in a layout."
+            ) from error
     if found.contract.joint_names is None:
         found = found.over(_exported_beside(path))
     return found
@@ -89,7 +91,8 @@ def _load(file: Path) -> Mapping[str, Any]:
 # ------------------------------------------------------------------------------------------------ env.yaml
 
 
-def _of_env(file: Path, env: Mapping[str, Any]) -> Source:
+def _of_env(file: Path, env: Mapping[str, Any], seen: Sequence[str]) -> Source:
+    """seen: the groups of observations that the actor is given, one behind the other; none: the one called so."""
     said: dict[str, Any] = {}
     scene, sim = env["scene"], env["sim"]
     entities = scene.get("entities") or {}
@@ -106,11 +109,49 @@ def _of_env(file: Path, env: Mapping[str, Any]) -> Source:
     said |= gains
     if lags is not None and physics_dt:
         said["delay_seconds"] = (lags[0] * float(physics_dt), lags[1] * float(physics_dt))
-    said |= _action(file, env.get("actions") or {})
-    contract = Contract(**said, said_by=dict.fromkeys(said, f"{file.parent.name}/{file.name}"))
+    actions = env.get("actions") or {}
+    said |= _action(file, actions)
     observations = env.get("observations") or {}
-    group = next((observations[name] for name in ("actor", "policy") if name in observations), None)
-    return Source(contract, () if group is None else _terms(file, group))
+    seen = seen or [name for name in ("actor", "policy") if name in observations][:1]
+    known = all(isinstance(observations.get(name), Mapping) for name in seen)
+    groups = [_terms_of(observations[name]) for name in seen] if known else []
+    order = _joint_order(file, next(iter(actions.values())), groups)
+    if order:
+        said["joint_names"] = order
+    contract = Contract(**said, said_by=dict.fromkeys(said, f"{file.parent.name}/{file.name}"))
+    parts = [
+        part for name, terms in zip(seen, groups, strict=False) for part in _terms(file, observations[name], terms)
+    ]
+    return Source(contract, tuple(parts))
+
+
+def _joint_order(
+    file: Path, action: Mapping[str, Any], groups: Sequence[Mapping[str, Mapping[str, Any]]]
+) -> tuple[str, ...]:
+    """The joints in the order that all terms ask for by name (`preserve_order`); empty where the simulator's stands.
+
+    Raises PolicyError for actions and observations in different orders.
+    """
+    orders = {"its action": _preserved(action)}
+    for name, term in ((name, term) for terms in groups for name, term in terms.items()):
+        if str(term.get("func") or "").replace(":", ".").rsplit(".", 1)[-1] in OF_JOINTS:
+            orders[f"its observation '{name}'"] = _preserved((term.get("params") or {}).get("asset_cfg") or {})
+    (first, order), *others = orders.items()
+    for name, other in others:
+        if other != order:
+            told = [", ".join(one)[:80] + " (preserve_order)" if one else "the simulator's" for one in (order, other)]
+            raise PolicyError(
+                f"{file}: {first} has the joints in the order {told[0]}, {name} in {told[1]}. hts reads one order of "
+                "joints for both. Train it with one: the same joint_names and preserve_order in all of them."
+            )
+    return order if all(re.fullmatch(r"[\w-]+", name) for name in order) else ()
+
+
+def _preserved(chosen: Mapping[str, Any]) -> tuple[str, ...]:
+    """The names or patterns whose order a term keeps; empty where it takes the simulator's."""
+    names = chosen.get("joint_names") or chosen.get("actuator_names") or ()
+    names = (names,) if isinstance(names, str) else tuple(str(name) for name in names)
+    return names if chosen.get("preserve_order") and names != (".*",) else ()
 
 
 def _gains(groups: list[Mapping[str, Any]]) -> tuple[dict[str, Any], tuple[int, int] | None]:
@@ -155,16 +196,25 @@ def _action(file: Path, actions: Mapping[str, Any]) -> dict[str, Any]:
     return {"action_scale": dict(scale) if isinstance(scale, Mapping) else scale}
 
 
-def _terms(file: Path, group: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...]:
+def _terms_of(group: Mapping[str, Any]) -> Mapping[str, Mapping[str, Any]]:
     terms = group.get("terms") or {
         key: value for key, value in group.items() if isinstance(value, Mapping) and "func" in value
     }
+    return {str(name): term for name, term in terms.items() if term is not None}
+
+
+def _terms(
+    file: Path, group: Mapping[str, Any], terms: Mapping[str, Mapping[str, Any]]
+) -> tuple[Mapping[str, Any], ...]:
     if group.get("history_length"):
         raise PolicyError(f"{file}: its policy sees {group['history_length']} observations at once, hts shows one.")
     parts: list[dict[str, Any]] = []
     for name, term in terms.items():
-        if term is None:
-            continue
+        if term.get("modifiers"):
+            raise PolicyError(
+                f"{file}: its observation '{name}' goes through modifiers, which hts does not compute. Train it "
+                "without; a scale alone can be the term's `scale`."
+            )
         if term.get("history_length") or term.get("delay_max_lag"):
             which = "history" if term.get("history_length") else "a delay"
             raise PolicyError(f"{file}: its observation '{name}' has {which}, which hts does not show a policy.")
@@ -180,6 +230,8 @@ def _terms(file: Path, group: Mapping[str, Any]) -> tuple[Mapping[str, Any], ...
     return tuple(parts)
 
 
+OF_JOINTS = {"joint_pos", "joint_pos_rel", "joint_vel", "joint_vel_rel"}
+"""Functions of both libraries that observe joints, in the order that the term's asset_cfg asks for."""
 HARMLESS_TERM_CLIP = 50.0  # in any unit of ours: nothing that a robot measures goes there
 
 
@@ -197,6 +249,13 @@ def _meaning(name: str, term: Mapping[str, Any]) -> str:
 
 
 # ---------------------------------------------------------------------------------------------- agent.yaml
+
+
+def _groups(agent: Mapping[str, Any]) -> list[str]:
+    """The groups of observations that rsl_rl gives the actor, in order; empty where the file does not say."""
+    sets = agent.get("obs_groups")
+    found = (sets.get("actor") or sets.get("policy")) if isinstance(sets, Mapping) else None
+    return [str(name) for name in found] if isinstance(found, list | tuple) else []
 
 
 def _of_agent(file: Path, agent: Mapping[str, Any]) -> Source:

@@ -158,9 +158,11 @@ class _Replay:
                     "its network gives the joint targets themselves, rad, and not the actions that they are made of. "
                     "Export it without default pose and scale"
                 )
+            elu = self.imported.policy.card.made.get("kind") == "rsl_rl"  # the others say it themselves
             raise self._refuted(
                 f"its actions are off by up to {off:.2g} from the log's. Is `observation` what the "
                 "network was given, before its normaliser, and the action without noise"
+                f"{', and was ELU its activation' if elu else ''}"
             )
         different = len(np.unique(self.given, axis=0))
         if different < FEWEST_EXAMPLES:
@@ -341,7 +343,11 @@ class _Replay:
         row = float(np.median(np.diff(self.log.time)))
         rows = lag + self.offset - 1
         if rows < 0:
-            return _open("delay", "the log's torques come before the targets that they follow")
+            return _open(
+                "delay",
+                "a row's torques follow the target that was made of this row's state: computed then, not measured with "
+                "the state. Log the torque that acts when the state is read",
+            )
         least, most = rows * row, (rows + 1) * row
         shown = f"{1e3 * least:.3g} to below {1e3 * most:.3g} ms by the log's torques"
         if stated is None:

@@ -162,6 +162,7 @@ def _in_its_place(
     raise PolicyError(
         f"{path}: it observes what this task does not give. "
         + unknown_name("observation", our_name(str(part["name"])), [*starts, ABSOLUTE])
+        + " Train it again without, or give the part a constant that it was trained to walk with (hold: in the layout)."
     )
 
 

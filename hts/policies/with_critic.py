@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -12,6 +13,17 @@ from hts.rl.population import Population, Sizes
 
 NEW_CRITIC = "new"
 """What the card of such a policy says under `made.critic`."""
+
+
+def critic_line(made: Mapping[str, Any], warmup_batches: int) -> str | None:
+    """What has to be said where a policy with this `made` of its card starts a training: that its critic is new and no
+    batch is its own; None where there is nothing to say."""
+    if made.get("critic") != NEW_CRITIC or warmup_batches > 0:
+        return None
+    return (
+        "The policy to start from brings no critic, and nothing lets a new one learn before the policy moves: "
+        "--set finetune.ppo.warmup_batches=20 does (docs/policies-from-elsewhere.md)."
+    )
 
 
 def with_new_critic(path: Path, actor: Mapping[str, torch.Tensor], sizes: Sizes, std: float) -> dict[str, torch.Tensor]:

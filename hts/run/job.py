@@ -23,6 +23,7 @@ from hts.plugins import Registry
 from hts.policies.export import to_onnx
 from hts.policies.files import Policy, load_policy, pretrained_file, save_policy
 from hts.policies.onnx_ours import what_differs
+from hts.policies.with_critic import critic_line
 from hts.policy_ids import PRETRAINED
 from hts.recordings.doubts import remarks
 from hts.recordings.needs import check_judged_by, check_rate, check_recorded
@@ -92,6 +93,8 @@ class Job:
                     "or begin a new run."
                 )
             self.save(PRETRAINED, policy)
+            if line := critic_line(policy.card.made, self.config.finetune.ppo.warmup_batches):
+                self.say(line)
         identity = dict(self.world.identity())
         if begun:
             before = kept.get("world", {})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from importlib.metadata import version
 from typing import Any
 
 import torch
@@ -18,6 +19,9 @@ from hts_rsl_rl.multiplier import LagrangeMultiplier, RunningMean
 
 SAVED = "anchored"
 """Key of the state of the bound in a checkpoint."""
+# Up to 5.4 rsl_rl's normalisers learn at every step (PPO.process_env_step), from 5.5 on at the end of PPO.update, in
+# whose place ours stands.
+ONCE_A_BATCH = tuple(int(part) for part in version("rsl-rl-lib").split(".")[:2]) >= (5, 5)
 
 
 class AnchoredPPO(PPO):
@@ -61,6 +65,7 @@ class AnchoredPPO(PPO):
             ("a recurrent actor or critic", actor.is_recurrent or critic.is_recurrent),
             ("rnd_cfg", self.rnd is not None),
             ("symmetry_cfg", self.symmetry is not None),
+            ("use_mixed_precision", bool(kwargs.get("use_mixed_precision"))),
         ):
             if present:
                 raise AnchorError(f"AnchoredPPO does not support {setting}. Leave it out, or train with PPO.")
@@ -111,6 +116,10 @@ class AnchoredPPO(PPO):
             parts = self._step(batch)
             sums = {name: total + parts[name] for name, total in sums.items()}
             steps += 1
+        if ONCE_A_BATCH:
+            seen = self.storage.observations.flatten(0, 1)
+            self.actor.update_normalization(seen)
+            self.critic.update_normalization(seen)
         kl, widened = self.kl_to_anchor(self.storage.observations.flatten(0, 1))
         self.lagrange.update(kl)
         self.storage.clear()

@@ -191,7 +191,8 @@ def test_the_normaliser_stands_still_unless_it_is_let_go(path):
 
     def normalised(**algorithm):
         settings = config(**algorithm)
-        settings["actor"]["obs_normalization"] = True
+        for model in ("actor", "critic"):
+            settings[model]["obs_normalization"] = True
         return OnPolicyRunner(Slope(), settings, device="cpu")
 
     plain = normalised()
@@ -199,12 +200,15 @@ def test_the_normaliser_stands_still_unless_it_is_let_go(path):
     saved = path.replace("model_0", "model_1")
     plain.save(saved)
     ours = {"class_name": "hts_rsl_rl:AnchoredPPO", "anchor_checkpoint": saved, "kl_bound": 0.2}
-    mean = plain.alg.actor.obs_normalizer.mean
+    mean, seen = plain.alg.actor.obs_normalizer.mean, plain.alg.actor.obs_normalizer.count
     for freeze in (True, False):
         runner = normalised(**ours, freeze_normalization=freeze)
+        runner.env.random.manual_seed(1)  # other states than those that it has learned from
         runner.learn(1)
         assert torch.equal(runner.alg.actor.obs_normalizer.mean, mean) is freeze
         assert torch.equal(runner.alg.anchor.obs_normalizer.mean, mean)
+        assert runner.alg.actor.obs_normalizer.count == (seen if freeze else 2 * seen)
+        assert runner.alg.critic.obs_normalizer.count == 2 * seen
 
 
 # --------------------------------------------------------------------------------------------------- files
@@ -272,3 +276,7 @@ def test_settings_that_cannot_be_are_refused_in_a_line(path):
         assert "is '5e-2'; expected a" in refused(path, **{setting: "5e-2"})
     assert "multiplier_rate is inf" in refused(path, multiplier_rate=math.inf)
     assert "kl_bound is None" in refused(path, kl_bound=None)
+    from hts_rsl_rl.ppo import ONCE_A_BATCH
+
+    if ONCE_A_BATCH:  # a setting of rsl_rl 5.5 or newer
+        assert "does not support use_mixed_precision" in refused(path, use_mixed_precision=True)
