@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import re
+import runpy
+from pathlib import Path
+
 import pytest
-from legged_model import FLOOR, dog, text
+from legged_model import FLOOR, JOINTS, LEGS, dog, text
 
 from hts.errors import PluginError
 from hts.plugins import Entry, load
+from hts.testing.checks import robots
 from hts.testing.checks.robot_forces import CHECKS
 
 MODEL = text()
 TYPED = MODEL.replace('<freejoint name="root"/>', '<joint name="root" type="free"/>')
+SHELL = '<site name="trunk_shell" type="box" size="0.21 0.09 0.06"/>'
 KNEE = '<joint name="LF_KFE" '
 
 
@@ -80,3 +86,24 @@ def test_what_is_no_other_force_is_taken():
     slides = '<contact><pair geom1="trunk" geom2="floor" condim="1"/></contact><actuator>'
     sound = sound.replace(FLOOR, FLOOR + seen).replace("<actuator>", slides)
     assert said(MODEL) == said(sound) == said(TYPED) == []
+
+
+def test_the_page_makes_of_a_file_with_motors_a_model_that_is_in_order(tmp_path):
+    """A file as robots' makers have it: motors, classes of defaults that reach the trunk, a keyframe, no floor."""
+    page = (Path(__file__).parents[2] / "docs" / "authors" / "robot.md").read_text()
+    block = page.split('```python title="from_file.py"\n')[1].split("```")[0]
+    (tmp_path / "from_file.py").write_text(block)
+    made = runpy.run_path(str(tmp_path / "from_file.py"))
+    theirs = TYPED.replace(FLOOR, "").replace("<option ", '<option iterations="1" ')
+    theirs = theirs.replace("<worldbody>", '<default><joint damping="1" armature="0.1"/></default><worldbody>')
+    theirs = re.sub("<actuator>.*</actuator><sensor>.*</sensor>", "", theirs)
+    theirs = re.sub(r'<site name="\w+_foot"[^>]*/>', "", theirs).replace(SHELL, "")
+    motors = "".join(f'<motor joint="{joint}" ctrlrange="-40 40"/>' for joint in reversed(JOINTS))
+    rest = f'<actuator>{motors}</actuator><keyframe><key qpos="{"0 " * 19}" ctrl="{"0 " * 12}"/></keyframe>'
+    (tmp_path / "dog.xml").write_text(theirs.replace("</mujoco>", f"{rest}</mujoco>"))
+    robot = dog(MODEL)
+    feet = {f"{leg}_foot": (f"{leg}_shank", (0, 0, -0.2), 0.03) for leg in LEGS}
+    path = str(tmp_path / "dog.xml")
+    type(robot).mjcf = lambda self: made["from_file"](path, self.spec, feet, [0.21, 0.09, 0.06])
+    for check in robots.CHECKS:
+        check(Entry("dog", lambda settings: robot, "lab"), load(()))
