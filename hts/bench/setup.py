@@ -48,7 +48,10 @@ def find(robot: str | None, objective: str | None) -> tuple[Robot, Objective]:
         raise ConfigError("No robot is installed. Install one, then `hts bench` again; `hts plugins` lists them.")
     machine = registry.make_robot(robot or min(registry.robots))
     if machine.pretrained_policy() is None:
-        raise ConfigError(f"Robot '{machine.spec.name}' is log-only: it has no policy to collect with.")
+        raise ConfigError(
+            f"Robot '{machine.spec.name}' has no pretrained policy to collect with. A robot with a simulation gets one "
+            f"by `hts pretrain --robot {machine.spec.name} --out DIR`: let its pretrained_policy() return that file."
+        )
     if objective is not None:
         return machine, registry.make_objective(objective)
     offered: list[Objective] = []

@@ -27,6 +27,8 @@ QUANTITIES: dict[str, tuple[str, set[str]]] = {
 }
 """Channel -> its usual unit, and the words that name it; the first that fits is taken."""
 DEGREES = {"deg", "degrees", "degree", "dps"}
+OTHER_UNITS = {"rpm": ("rad/s", "rpm"), "mnm": ("N*m", "mN*m")}
+"""Word of a joint's column -> the usual unit, and the one that the word says instead."""
 GAUGES: dict[str, set[str]] = {
     "A": {"a", "amp", "amps", "ampere", "amperes", "current"},
     "V": {"v", "volt", "volts", "voltage"},
@@ -210,7 +212,7 @@ def _joint_channels(
                 continue
             wanted = robot.channels().get(channel)
             values = np.stack([columns[one] for one in by_joint.values()], axis=1)
-            unit, why = _joint_unit(unit, words, values, robot)
+            unit, why = _joint_unit(unit, template, values, robot)
             about = "" if wanted is not None else ", real: false"
             lines.append(f"  {channel}: {{columns: {json.dumps(template)}, unit: {unit}{about}}}{why}")
             taken.add(channel)
@@ -219,12 +221,16 @@ def _joint_channels(
     return lines, used
 
 
-def _joint_unit(unit: str, words: set[str], values: np.ndarray, robot: Robot) -> tuple[str, str]:
+def _joint_unit(unit: str, template: str, values: np.ndarray, robot: Robot) -> tuple[str, str]:
     """The unit, and a remark where values or words contradict the usual one."""
+    for word in _whole(template.replace("{joint}", " ")):
+        usual, said = OTHER_UNITS.get(word, ("", ""))
+        if usual == unit:
+            return said, ""
     limits = {"rad/s": robot.spec.velocity_limit, "N*m": robot.spec.torque_limit}.get(unit)
     reach = np.asarray(limits) if limits else np.abs(np.asarray(robot.spec.position_limit)).max(axis=1) + 0.35
     typical = np.nanmedian(np.abs(values), axis=0) if np.isfinite(values).any() else np.zeros(len(reach))
-    degrees = bool(words & DEGREES)
+    degrees = bool(_words(template.replace("{joint}", " ")) & DEGREES)
     if degrees and unit.startswith("rad"):
         return unit.replace("rad", "deg"), ""
     if np.any(typical > reach):
@@ -232,10 +238,14 @@ def _joint_unit(unit: str, words: set[str], values: np.ndarray, robot: Robot) ->
     return unit, ""
 
 
+def _whole(name: str) -> set[str]:
+    """Its words: mA is one, though in `_words` its capital begins another."""
+    return set(re.findall(r"[a-z]+", name.lower()))
+
+
 def _gauge_unit(name: str, words: set[str]) -> str | None:
     """The unit that a column's name tells; None where it is no gauge's."""
-    whole = set(re.findall(r"[a-z]+", name.lower()))  # mA is one word, though its capital begins another in words
-    unit = next((one for short, one in MILLI.items() if short in whole), None)
+    unit = next((one for short, one in MILLI.items() if short in _whole(name)), None)
     unit = unit or next((one for one, known in GAUGES.items() if words & known), None)
     symbol = SYMBOL.match(name)
     return unit or (SYMBOLS[symbol[1]] if symbol else None)

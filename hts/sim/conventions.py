@@ -82,6 +82,19 @@ def without_free_trunk(model: mujoco.MjModel, spec: RobotSpec) -> str:
     )
 
 
+def floor_on_a_body(model: mujoco.MjModel) -> str:
+    """In words, if the floor lies on a body of its own; else empty. A twin looks for it in the world, and would vary no
+    grip."""
+    floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, FLOOR)
+    if floor < 0 or model.geom_bodyid[floor] == 0:
+        return ""
+    body = model.body(int(model.geom_bodyid[floor])).name
+    return (
+        f"geom '{FLOOR}' of its model lies on body '{body}', expected directly in the <worldbody>. Take it out of that "
+        f"body ({WHERE})."
+    )
+
+
 def joints_out_of_order(model: mujoco.MjModel, spec: RobotSpec) -> str:
     """The first joint or actuator whose place in the model is not the spec's, in words; empty for none. No body and no
     joint may be missing."""

@@ -77,6 +77,12 @@ def check_added_mass(model: mujoco.MjModel, robot: Robot, added: tuple[float, fl
     """Raise ConfigError for a trunk that would weigh nothing or less, or a load that no robot carries. added: kg;
     where: the key that says so."""
     mass = float(model.body(robot.spec.trunk_body).mass[0])
+    if not mass > 0:
+        raise ConfigError(
+            f"Robot '{robot.spec.name}': body '{robot.spec.trunk_body}' of its model has no mass, so none can be added "
+            "to it. Give that body the <inertial> of the bodies that are fixed to it, or, where a child of it is the "
+            "trunk, put the <freejoint/> there and name it SPEC.trunk_body."
+        )
     if not mass + added[0] > 0:
         raise ConfigError(
             f"{where}: {added[0]:g} kg would leave nothing of the trunk of '{robot.spec.name}', which weighs "

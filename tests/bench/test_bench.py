@@ -21,6 +21,13 @@ from hts.errors import ConfigError
 RATES = ("steps_per_s", "bare_steps_per_s", "ratio")
 
 
+def test_a_robot_that_has_only_its_model_is_told_how_to_get_a_policy(monkeypatch):
+    robot, _ = find("go1", "power")
+    monkeypatch.setattr(type(robot), "pretrained_policy", lambda self: None)
+    with pytest.raises(ConfigError, match=r"'go1' has no pretrained policy to collect with.*`hts pretrain --robot go1"):
+        find("go1", "power")
+
+
 def test_env_reports_rates_their_ratio_and_where_the_time_goes():
     result = bench_env("go1", "power", candidates=2, envs=4, seconds=0.1)
     assert all(result[key] > 0 for key in RATES)

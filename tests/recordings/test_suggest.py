@@ -115,6 +115,25 @@ def test_what_cannot_be_told_is_marked(tmp_path, two_joints):
     assert "time: {column: CHECK, unit: CHECK}  # CHECK: no column of increasing times" in text
 
 
+@pytest.mark.parametrize(
+    ("channel", "pattern", "unit", "size"),
+    [
+        ("joint_velocity", "vel_{}_rpm", "rpm", 2 * np.pi / 60),
+        ("joint_velocity", "vel_RPM_{}", "rpm", 2 * np.pi / 60),
+        ("joint_torque", "tau_{}_mNm", "mN*m", 1e-3),
+        ("joint_torque", "tau_{}_Nm", "N*m", 1.0),
+    ],
+)
+def test_the_unit_behind_a_joints_name_is_taken(tmp_path, two_joints, channel, pattern, unit, size):
+    """Speeds of a robot that stands are within its limits in any unit, so values alone would not tell."""
+    log = tmp_path / "log.csv"
+    log.write_text(csv_of({"t": 0.02 * STEPS, **{pattern.format(joint): STEPS / 60 for joint in ("hip", "knee")}}))
+    text = suggested_mapping(log, two_joints)
+    assert yaml.safe_load(text)["channels"][channel]["unit"] == unit
+    recording = make_csv({}).read([log], answered(text), two_joints)
+    np.testing.assert_allclose(recording.values(channel)[:, 0], size * STEPS / 60, rtol=1e-5, atol=1e-9)
+
+
 def test_targets_do_not_stand_in_for_what_was_measured(tmp_path, two_joints):
     names = ("target_q", "actual_q", "target_qd", "actual_qd", "target_moment")
     columns = {"t": 20 * STEPS, **{f"{name}_{joint}": STEPS / 100 for name in names for joint in ("hip", "knee")}}

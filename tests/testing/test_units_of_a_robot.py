@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from legged_model import dog, text
 
+from hts.config import EnvConfig
 from hts.contracts.spec_faults import fault_of_spec, fault_of_step
 from hts.errors import ConfigError, PluginError
 from hts.factories import made_by
@@ -107,6 +108,16 @@ def test_a_model_with_what_is_no_number_is_named(old, new, words):
     assert old in MODEL
     with pytest.raises(ConfigError, match=words):
         compile_model(dog(MODEL.replace(old, new)))
+
+
+def test_a_trunk_without_mass_is_said_and_no_load_is_asked_to_be_raised():
+    """As of a model whose free joint is on a frame, and whose trunk is a body fixed to that."""
+    frame = '<body name="frame" pos="0 0 0.3"><freejoint name="root"/><body name="trunk">'
+    model = MODEL.replace('<body name="trunk" pos="0 0 0.3"><freejoint name="root"/>', frame)
+    robot = dog(model.replace("</worldbody>", "</body></worldbody>"))
+    robot.spec = replace(robot.spec, trunk_body="frame")
+    with pytest.raises(ConfigError, match=r"Robot 'dog': body 'frame' of its model has no mass, .*<freejoint/> there"):
+        robot.make_env("mujoco", 1, 1, EnvConfig(threads=1), seeds=[0])
 
 
 @pytest.mark.parametrize(("ref", "said"), [("0.6", True), ("0.1", False)])

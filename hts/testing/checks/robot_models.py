@@ -96,9 +96,9 @@ def actuators_are_servos(entry: Entry, registry: Registry) -> None:
         return
     actuators = _actuators(model, robot)
     rows = [(joint, _kind(model, index), "position") for joint, index in actuators]
-    _compare("actuators of its model", rows, 'Write <position kp="…" kv="…"/>')
+    compare("actuators of its model", rows, 'Write <position kp="…" kv="…"/>')
     gears = [(joint, f"{model.actuator_gear[index, 0]:g}", "1") for joint, index in actuators]
-    _compare("gear of its model's actuators", gears, "Leave `gear` out: gains and torques are at the joint")
+    compare("gear of its model's actuators", gears, "Leave `gear` out: gains and torques are at the joint")
 
 
 def gains_match(entry: Entry, registry: Registry) -> None:
@@ -116,7 +116,7 @@ def gains_match(entry: Entry, registry: Registry) -> None:
         for name, value, wanted in zip(("kp", "kd"), found, (kp, kd), strict=True):
             if not math.isclose(value, wanted, rel_tol=RELATIVE, abs_tol=1e-6):
                 rows.append((joint, f"{name} {value:.6g}", f"{name} {wanted:.6g}"))
-    _compare("gains in its model", rows, "kd is kv of the actuator, not damping of the joint")
+    compare("gains in its model", rows, "kd is kv of the actuator, not damping of the joint")
     if others:
         raise NotTried(f"actuators of {', '.join(others)} are no position servos")
 
@@ -132,7 +132,7 @@ def torque_limits_match(entry: Entry, registry: Registry) -> None:
         limited = bool(model.actuator_forcelimited[index])
         if not (limited and np.allclose((low, high), (-limit, limit), rtol=RELATIVE, atol=1e-6)):
             rows.append((joint, f"{low:.6g} to {high:.6g}" if limited else "none", f"{-limit:.6g} to {limit:.6g}"))
-    _compare("forcerange in its model, N*m", rows, "Correct the actuators or SPEC.torque_limit")
+    compare("forcerange in its model, N*m", rows, "Correct the actuators or SPEC.torque_limit")
 
 
 def targets_are_not_clipped(entry: Entry, registry: Registry) -> None:
@@ -154,7 +154,7 @@ def targets_are_not_clipped(entry: Entry, registry: Registry) -> None:
             wanted = f"none, or at least {low - reach:.6g} to {high + reach:.6g}"
             rows.append((joint, f"{first:.6g} to {last:.6g}", wanted))
     advice = 'It clips the targets of a policy, in training alone: write ctrllimited="false"'
-    _compare("ctrlrange of its model's actuators, rad", rows, advice)
+    compare("ctrlrange of its model's actuators, rad", rows, advice)
 
 
 def position_limits_match(entry: Entry, registry: Registry) -> None:
@@ -171,7 +171,7 @@ def position_limits_match(entry: Entry, registry: Registry) -> None:
         if not limited and high - low > ENDLESS:
             continue
         rows.append((joint, f"{found[0]:.6g} to {found[1]:.6g}" if limited else "none", f"{low:.6g} to {high:.6g}"))
-    _compare("range of joints in its model, rad", rows, "Correct the model or SPEC.position_limit")
+    compare("range of joints in its model, rad", rows, "Correct the model or SPEC.position_limit")
 
 
 def weight_is_carried(entry: Entry, registry: Registry) -> None:
@@ -203,7 +203,7 @@ def floor_decides_the_grip(entry: Entry, registry: Registry) -> None:
         return
     own = int(model.geom(FLOOR).priority[0])
     others = [i for i in range(model.ngeom) if model.geom_bodyid[i] != 0 and model.geom_priority[i] >= own]
-    touching = [i for i in others if _meets(model, model.geom(FLOOR).id, i)]
+    touching = [i for i in others if meets(model, model.geom(FLOOR).id, i)]
     if touching:
         first = model.geom(touching[0])
         body = model.body(int(model.geom_bodyid[touching[0]])).name
@@ -229,7 +229,7 @@ def feet_are_felt(entry: Entry, registry: Registry) -> None:
             rows.append((name, f"no geom of body '{body}' touches the floor", "the body that touches it"))
         elif max(points) > 0:
             rows.append((name, f"{size} mm", f"one that reaches {1000 * max(points):.2g} mm further"))
-    _compare("foot sites of its model", rows, "Make the site a little larger than the foot", "site")
+    compare("foot sites of its model", rows, "Make the site a little larger than the foot", "site")
 
 
 def height_matches(entry: Entry, registry: Registry) -> None:
@@ -259,9 +259,7 @@ def height_matches(entry: Entry, registry: Registry) -> None:
         for foot, low in reach.items()
         if low > 0 and reach[longest] - low > HEIGHT * reach[longest]
     ]
-    _compare(
-        "lowest points of its feet in the default pose", rows, "Correct a joint's axis or ref, or the pose", "foot"
-    )
+    compare("lowest points of its feet in the default pose", rows, "Correct a joint's axis or ref, or the pose", "foot")
 
 
 def _placeable(entry: Entry) -> tuple[Robot, mujoco.MjModel | None]:
@@ -338,7 +336,7 @@ def _outside(model: mujoco.MjModel, data: mujoco.MjData, site: int, point: np.nd
     return next((more for more in np.arange(1, 500) * DEPTH if held(more)), math.inf)
 
 
-def _meets(model: mujoco.MjModel, first: int, second: int) -> bool:
+def meets(model: mujoco.MjModel, first: int, second: int) -> bool:
     """Whether two geoms can touch as their contype and conaffinity say."""
     kinds, others = model.geom_contype, model.geom_conaffinity
     return bool(kinds[first] & others[second] or kinds[second] & others[first])
@@ -373,7 +371,7 @@ def _kind(model: mujoco.MjModel, index: int) -> str:
     return "position" if servo else "general"
 
 
-def _compare(what: str, rows: Sequence[Row], advice: str, kind: str = "joint") -> None:
+def compare(what: str, rows: Sequence[Row], advice: str, kind: str = "joint") -> None:
     """Raises PluginError that says all rows whose found is not the expected; joints with the same fault together."""
     alike: dict[tuple[str, str], list[str]] = {}
     for name, found, expected in rows:

@@ -19,9 +19,11 @@ from hts.errors import unknown_name
 from hts.measurement.physics_steps import IN_STEPS
 from hts.plugins import Entry, Registry
 from hts.testing.checks.ensure import ensure, listed, same
-from hts.testing.checks.robot_models import CHECKS as ROBOT_MODEL_CHECKS
+from hts.testing.checks.robot_forces import CHECKS as ROBOT_FORCE_CHECKS
+from hts.testing.checks.robot_models import CHECKS as COMPARISONS
 from hts.testing.checks.robot_models import lacks_its_model, usable_model
 
+ROBOT_MODEL_CHECKS = (*COMPARISONS, *ROBOT_FORCE_CHECKS)
 STEPS, WORLDS, SEED = 12, 2, 11
 GAINS = ("kp", "kd")  # 0 where actions are torques
 

@@ -11,13 +11,14 @@ import numpy as np
 from hts.contracts import Robot, RobotSpec
 from hts.errors import ConfigError, UnfitWorldError
 from hts.guarded import guarded
-from hts.sim.conventions import missing, without_free_trunk
+from hts.sim.conventions import floor_on_a_body, missing, without_free_trunk
 from hts.sim.models import compile_model
 from hts.worlds.twin.ground import bumpy_floor, heights
 from hts.worlds.twin.parameters import DynamicsParameters
 from hts.worlds.twin.structure import BodyStructure
 
 TOUCH_ZONE = 1.6  # times the site size: the zone of the touch sensor must hold every contact of the foot
+ITERATIONS, LINE_SEARCH = 10, 20  # of the solver, at least: more changed no force of a standing or stepping biped
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,8 @@ def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
             "it. Start a run in another world: --world field, or one of a plugin's."
         )
     nominal = compile_model(robot)
-    if fault := missing(nominal, spec, velocity_task=False) or without_free_trunk(nominal, spec):
+    fault = missing(nominal, spec, velocity_task=False) or without_free_trunk(nominal, spec) or floor_on_a_body(nominal)
+    if fault:
         raise ConfigError(f"Robot '{spec.name}': {fault}")
     machine_rng = np.random.default_rng([parameters.machine, 1])
     friction = by_gearing(spec, parameters.joint_friction, parameters.joint_friction_extra_stage)
@@ -86,7 +88,7 @@ def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
     names = [joint.full_identifier for joint in joints]
     trunk = root.find("body", spec.trunk_body).full_identifier
     _motors_for_servos(root, joints)
-    _foot_sensors(root, spec)
+    _foot_sensors(root, nominal, spec)
     structure = parameters.structure
     if structure.floor_roughness > 0:
         bumpy_floor(root, structure.floor_roughness)
@@ -101,6 +103,9 @@ def build(robot: Robot, parameters: DynamicsParameters) -> Machine:
     model.opt.disableflags |= flags.mjDSBL_EULERDAMP | flags.mjDSBL_ISLAND | flags.mjDSBL_MIDPHASE
     # At 1 ms and with the last step's accelerations to start from, the solver gains nothing below this.
     model.opt.tolerance = 1e-6
+    # One iteration, as models for MJX have it, pushes a robot up with more than twice its weight.
+    model.opt.iterations = max(int(nominal.opt.iterations), ITERATIONS)
+    model.opt.ls_iterations = max(int(nominal.opt.ls_iterations), LINE_SEARCH)
     dof = np.array([model.joint(name).dofadr[0] for name in names])
     qpos = np.array([model.joint(name).qposadr[0] for name in names])
     model.dof_armature[dof] *= parameters.armature_scale
@@ -174,14 +179,26 @@ def _motors_for_servos(root: Any, joints: list) -> None:
         root.actuator.add("motor", name=joint.name, joint=joint, ctrllimited=False)
 
 
-def _foot_sensors(root: Any, spec: RobotSpec) -> None:
-    """Normal force on and velocity of each foot."""
+def _foot_sensors(root: Any, nominal: mujoco.MjModel, spec: RobotSpec) -> None:
+    """Normal force on and velocity of each foot. nominal: knows place and size of a site also where a <default> says
+    them."""
     for index, name in enumerate(spec.foot_sites):
-        site = root.find("site", name)
-        size = float(np.max(site.size)) if site.size is not None else 0.03
-        zone = site.parent.add("site", name=f"twin_foot_{index}", pos=site.pos, size=[TOUCH_ZONE * size])
+        found = nominal.site(name)
+        zone = root.find("site", name).parent.add("site", name=f"twin_foot_{index}", type="sphere", pos=found.pos)
+        zone.size = [_zone(int(found.type[0]), found.size)]
         root.sensor.add("touch", name=f"twin_touch_{index}", site=zone)
         root.sensor.add("framelinvel", name=f"twin_velocity_{index}", objtype="site", objname=zone)
+
+
+def _zone(kind: int, size: np.ndarray) -> float:
+    """Radius of a sphere that holds a site of this kind (mjtGeom) and size (3,), with something to spare, m."""
+    geoms = mujoco.mjtGeom
+    around = {
+        int(geoms.mjGEOM_BOX): float(np.linalg.norm(size)),
+        int(geoms.mjGEOM_CAPSULE): float(size[0] + size[1]),
+        int(geoms.mjGEOM_CYLINDER): float(np.hypot(size[0], size[1])),
+    }
+    return max(TOUCH_ZONE * float(np.max(size)), around.get(kind, 0.0))
 
 
 def effective_foot_mass(model: mujoco.MjModel, qpos: np.ndarray, num_feet: int) -> np.ndarray:
