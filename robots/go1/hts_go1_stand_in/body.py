@@ -106,6 +106,12 @@ class Body:
             temperature=np.asarray(shown.get("motor_temperature", np.full(12, np.nan)), float),
         )
 
+    @property
+    def place(self) -> tuple[float, float, float]:
+        """Where it is: x m, y m, heading rad, which no sensor of it shows."""
+        x, y = self._body.qpos[0, :2]
+        return float(x), float(y), float(self._body.heading()[0])
+
     def close(self) -> None:
         """Let go of the engine."""
         self._batch.close()
