@@ -14,7 +14,7 @@ from hts_go1_runtime.rows import Row
 from hts_go1_runtime.trained import ranges_of
 
 SHORTEST, LONGEST = 1.0, 200.0  # m
-END, SIDE = 1.0, 0.7  # m that have to be free beyond both ends of the straight, and beside the ways out and back
+END, SIDE = 1.0, 1.0  # m that have to be free beyond both ends of the straight, and beside the ways out and back
 SLOWER = 1.3  # times as long as at the commanded rate a turn takes (a stand-in, see docs/deployment.md)
 
 Walk = tuple[float, float, float, float]
@@ -67,14 +67,14 @@ def room_in_words(bundle: Bundle, rows: Sequence[Row], straight: float, first_ru
     """What a person has to know of it before the robot stands."""
     forward, rate = _turn(bundle, first_run)
     count, seconds = _turns(bundle, rows, straight, first_run, warmup)
-    aside = 2 * forward / rate + SIDE
+    radius = forward / rate
     unknown = sorted({row.policy for row in rows if "yaw_rate" not in ranges_of(bundle.policies[row.policy])})
-    how = "on the spot" if forward == 0 else f"in arcs {2 * forward / rate:.1f} m wide"
+    how = "on the spot" if forward == 0 else f"in arcs {2 * radius:.1f} m wide"
     return (
         f"It walks to and fro on {straight:g} m and turns round to the left at both ends, {how}, about {count:.0f} "
-        f"times; {seconds / 60:.0f} min in all. It has to stand at one end, facing along the straight, with {END:g} m "
-        f"free beyond both ends, {aside:.1f} m to its left and {SIDE:g} m to its right. "
-        + (f"Not known whether trained to turn: {', '.join(unknown)}. " if unknown else "")
+        f"times; {seconds / 60:.0f} min in all. It has to stand at one end, facing along the straight, with "
+        f"{END + radius:.1f} m free beyond both ends, {SIDE + 2 * radius:.1f} m to its left and {SIDE:.1f} m to its "
+        "right. " + (f"Not known whether trained to turn: {', '.join(unknown)}. " if unknown else "")
     )
 
 

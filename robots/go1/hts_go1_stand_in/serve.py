@@ -43,7 +43,7 @@ def serve(
                 began += -left
         body.advance()
         if trace is not None and sequence % TRACED == 0:
-            trace.write(",".join(f"{one:.4f}" for one in (body.clock, *body.place)) + "\n")
+            trace.write(",".join(f"{one:.4f}" for one in (body.clock, *body.place())) + "\n")
         sequence += 1
 
 

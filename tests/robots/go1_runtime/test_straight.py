@@ -84,7 +84,7 @@ def test_a_row_has_as_many_seconds_as_planned_and_its_turns_are_left_out(longer,
     assert visit("--yes", "--straight", "2.5", link=turning()) == 0
     said = capsys.readouterr().out
     assert "It walks to and fro on 2.5 m and turns round to the left at both ends, on the spot, about" in said
-    assert "1 m free beyond both ends, 0.7 m to its left and 0.7 m to its right." in said
+    assert "1.0 m free beyond both ends, 1.0 m to its left and 1.0 m to its right." in said
     for mapping, log, recording in recordings(longer):
         assert mapping["only"] == {"column": "phase", "number": 0}
         assert recording.seconds == pytest.approx(ROW, abs=0.05)
