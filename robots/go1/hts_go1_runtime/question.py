@@ -63,8 +63,8 @@ def question(
         )
         + unguarded(channels)
         + (_no_speed(channels) + room_in_words(bundle, rows, straight, first_run, warmup) if straight else "")
-        + f"It walks about {metres(bundle, rows, first_run, warmup):.0f} m {'of that ' if straight else ''}without a "
-        + "pause, keeps its heading and sees nothing that is in its way. "
+        + f"It walks about {metres(bundle, rows, first_run, warmup):.0f} m {'besides turning, ' if straight else ''}"
+        + "without a pause, keeps its heading and sees nothing that is in its way. "
         + "The robot will stand up and walk. Is everybody clear?"
     )
 
