@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hts.errors import RecordingError, unknown_name
-from hts.recordings.mapping import LabelsMapping
+from hts.recordings.mapping_parts import LabelsMapping
 from hts.recordings.table import cannot_be_read
 
 MOST_BYTES = 1 << 20

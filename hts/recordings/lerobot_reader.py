@@ -18,7 +18,8 @@ from pydantic import Field
 
 from hts.errors import RecordingError, unknown_name
 from hts.recordings.logs import LogMapping, Table
-from hts.recordings.mapping import RunsMapping, TimeMapping
+from hts.recordings.mapping import TimeMapping
+from hts.recordings.mapping_parts import RunsMapping
 from hts.recordings.parquet_reader import read_table as read_parquet
 from hts.recordings.table import ColumnName
 from hts.recordings.table_reader import TableReader

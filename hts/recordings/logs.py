@@ -52,6 +52,7 @@ from hts.recordings.mapping import (
 from hts.recordings.motion import check_motion
 from hts.recordings.no_reading import check_no_reading
 from hts.recordings.on_schedule import NOT_STATED
+from hts.recordings.only import closed_up
 from hts.recordings.outliers import outlier_limits, without_outliers
 from hts.recordings.pd_torque import torque_notes
 from hts.recordings.plausible import check_idle, check_limits
@@ -169,7 +170,7 @@ def recordings_from_tables(
     if log.join is not None:
         times, offset = joined(times, tables, log, columns)
         notes = {**notes, "clocks": f"the clock of '{log.join.file}' moved by {offset}"}
-    parts = stretches(tables, times, log, assigned)
+    parts = [closed_up(one, log) for one in stretches(tables, times, log, assigned)]
     return [_one(files, part, log, columns, robot, {**notes, **part.notes}) for part in parts]
 
 

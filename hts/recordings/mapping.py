@@ -25,6 +25,7 @@ from hts.contracts import Robot
 from hts.errors import ConfigError, unknown_name
 from hts.explain import explain
 from hts.recordings.commanded import without_end
+from hts.recordings.mapping_parts import JoinMapping, LabelsMapping, OnlyMapping, RunsMapping
 from hts.recordings.table import DATES, ColumnName
 from hts.recordings.unread import LONGEST_SECONDS
 from hts.yaml_text import load_mapping_file
@@ -92,42 +93,6 @@ class ChannelMapping(Config):
         return unit
 
 
-class RunsMapping(Config):
-    """Several runs in one file: each becomes a recording."""
-
-    column: ColumnName | None = Field(None, description="holds a number for each row; where it changes a run begins")
-    gap_seconds: float | None = Field(None, gt=0, description="a step in time longer than this begins a run, s")
-    take: tuple[float, ...] | None = Field(None, description="only these numbers of the column")
-
-    @model_validator(mode="after")
-    def _one_way(self) -> RunsMapping:
-        if (self.column is None) == (self.gap_seconds is None):
-            raise ValueError("runs: give either `column` or `gap_seconds`")
-        if self.take is not None and self.column is None:
-            raise ValueError("runs: `take` names numbers of a `column`")
-        return self
-
-
-class LabelsMapping(Config):
-    """A file of labels: stretches of time, s after the log's first stamp, each with a word."""
-
-    file: str = Field(description="which of `files` it is: comma-separated, with a header line")
-    start: str = Field("start", description="its column of beginnings, s after the first stamp")
-    end: str = Field("end", description="its column of ends, s after the first stamp")
-    label: str = Field("label", description="its column of words")
-    take: tuple[str, ...] | None = Field(
-        None, description="each stretch with one of these words becomes a recording; left out: labels are only noted"
-    )
-
-
-class JoinMapping(Config):
-    """Two files of one run whose stamps count different clocks: a signal in both says how far these are apart."""
-
-    file: str = Field(description="the file whose clock is moved, one of `files`")
-    channel: str = Field(description="its channel that another file has, too")
-    match: str = Field(description="that channel in the other file, whose clock stays")
-
-
 class RecordingFacts(Config):
     """What the log cannot say of itself."""
 
@@ -177,6 +142,7 @@ class LogMapping(Config):
     )
     runs: RunsMapping | None = Field(None, description="how several runs in one file are told apart")
     labels: LabelsMapping | None = Field(None, description="a file of labelled stretches")
+    only: OnlyMapping | None = Field(None, description="rows that are no part of the run, such as turns at a wall")
     join: JoinMapping | None = Field(None, description="how the clocks of two files are brought together")
     one_clock: bool = Field(False, description="the stamps of all files count one clock, although each begins at 0")
     cut: tuple[MayBeEndless, MayBeEndless] | None = Field(
@@ -206,6 +172,16 @@ class LogMapping(Config):
         return self
 
     @model_validator(mode="after")
+    def _only_has_one_clock(self) -> LogMapping:
+        beside = [key for key in ("runs", "labels", "cut") if vars(self)[key] is not None]
+        if self.only is not None and beside:
+            raise ValueError(
+                f"`only` closes the log's clock up, so it does not go with `{beside[0]}`; cut the log into files of "
+                "one run each"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _ages_are_of_held_ones(self) -> LogMapping:
         for name, channel in self.channels.items():
             if channel.max_age_seconds is not None and channel.resample != "hold":
@@ -225,6 +201,10 @@ class LogMapping(Config):
         for key, one in (("labels", self.labels), ("join", self.join)):
             if one is not None and one.file not in (self.files or ()):
                 raise ValueError(f"{key}: " + unknown_name("file", one.file, self.files or ()))
+        if self.only is not None and (self.only.file is None) != (self.files is None):
+            raise ValueError("only: `file` goes with `files`; give both or neither")
+        if self.only is not None and self.only.file is not None and self.only.file not in (self.files or ()):
+            raise ValueError("only: " + unknown_name("file", self.only.file, self.files or ()))
         if self.runs is not None and self.files is not None:
             raise ValueError("`runs` are told apart within one file; it does not go with `files`")
         return self

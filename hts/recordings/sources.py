@@ -67,10 +67,14 @@ def read_tables(
 ) -> Tables:
     """Every table that a channel needs; a reader of messages finds the topic in `mapping.topic`."""
     tables: Tables = {}
-    for source in dict.fromkeys(source_of(one) for one in log.channels.values()):
+    sources = [source_of(one) for one in log.channels.values()]
+    phases = None if log.only is None else Source(log.only.file, log.only.topic)
+    for source in dict.fromkeys(sources if phases is None else [*sources, phases]):
         wanted = [column for name, one in log.channels.items() if source_of(one) == source for column in columns[name]]
         if log.runs is not None and log.runs.column is not None:
             wanted.append(log.runs.column)
+        if log.only is not None and source == phases:
+            wanted.append(log.only.column)
         told = log if source.topic is None else log.model_copy(update={"topic": source.topic})
         tables[source] = read(assigned[source.file], tuple(dict.fromkeys(wanted)), told)
     return tables

@@ -16,6 +16,9 @@ Version 1. A reader refuses a higher `schema_version`; keys are added, never ren
     warmup_seconds, first_runs      before a head-to-head; how to begin with policies that never ran on a machine
     frozen       for how long a sensor may repeat itself, s, 0: for ever. seen_seconds: what policies observe;
                  real_seconds: a real channel, in a row
+    turns        where a row is longer than the floor, for a runner that turns round and goes on: column of the log that
+                 says of each step whether it counts, counts (its number then), settle_seconds at the row's command
+                 after a turn; null: nobody walks
 """
 
 from __future__ import annotations
@@ -136,6 +139,9 @@ def manifest(facts: Facts, policies: Sequence[Mapping[str, Any]], rows: Sequence
         "warmup_seconds": WARMUP_SECONDS if compared else 0.0,
         "first_runs": first_runs(facts.run),
         "frozen": asdict(facts.frozen),
+        "turns": {"column": "phase", "counts": 0, "settle_seconds": SETTLE_SECONDS}
+        if isinstance(facts.task, FollowVelocity)
+        else None,
     }
 
 

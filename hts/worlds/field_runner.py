@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from hts.contracts import RobotSpec
+from hts.evaluation.segments import SETTLE_SECONDS
 from hts.worlds.field_places import CHECKSUMS
 
 Entry = Mapping[str, Any]
@@ -164,3 +165,11 @@ def _care(first: Mapping[str, float], walks: bool) -> Iterator[str]:
         "(real: also its level with idle motors): the state that the action was computed from, and the target that "
         "was sent. A row of the plan is one log, of the row's length; policies are swapped without a pause."
     )
+    if walks:
+        yield ""
+        yield (
+            "**Where the floor is shorter than a row** it may turn round and go on, if the same turn is commanded to "
+            "every policy, and if each row still has its seconds of straight walking (`turns` of the manifest): a "
+            f"column `phase` is 0 in those, and another number while it turns and for {SETTLE_SECONDS:g} s of settling "
+            "at the row's command after that. Write `only: {column: phase}` into the mapping: the others are left out."
+        )

@@ -31,6 +31,8 @@ def test_a_bundle_says_for_how_long_a_sensor_may_repeat_itself(run, policy):
         field(run).collect([policy], walking(0.5, SECONDS))
     first = bundle(run)
     assert json.loads((first / "manifest.json").read_text())["frozen"] == {"seen_seconds": 0.1, "real_seconds": 3.0}
+    turns = json.loads((first / "manifest.json").read_text())["turns"]
+    assert turns == {"column": "phase", "counts": 0, "settle_seconds": 2.0}
     with pytest.raises(WaitingForRobot):
         field(run, frozen_seconds=0.0, frozen_real_seconds=5.0).collect([policy], walking(0.6, SECONDS))
     other = next(path for path in first.parent.iterdir() if path.is_dir() and path != first)
@@ -125,6 +127,7 @@ def test_a_bundle_without_a_runtime_has_the_loop_of_each_kind_of_policy(robot):
     assert "| 0 | 2 | angular_velocity | rad/s | of the trunk |\n| 3 | 14 | joint_velocity |" in alone
     assert "**Actions.** An action moves the joints' targets: joint target, rad = default_pose" in alone
     assert "70% of it, at 50% of the command, for 20 s" in alone and "the trunk leans too far" in alone
+    assert "Write `only: {column: phase}` into the mapping" in alone
     assert alone.count("| 0.25 | 30 | 0.5 |") == 12
     other = {**entry, "file": "policies/01-b.onnx", "history": 3, "kp": [20.0] * 12}
     both = runner(spec, [entry, other], first, walks=True, own_env=False)

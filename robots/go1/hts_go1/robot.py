@@ -63,7 +63,7 @@ class Go1(VelocityRobot):
     bundle_commands = (
         "python -m hts_go1_runtime check .  # nothing moves",
         "python -m hts_go1_runtime run . --link udp://127.0.0.1:9870 --first-run  # new policies: slowly, weakly",
-        "python -m hts_go1_runtime run . --link udp://127.0.0.1:9870  # Enter: stop at once; s, Enter: sit down",
+        "python -m hts_go1_runtime run . --link udp://127.0.0.1:9870  # Enter: stop; s, Enter: sit; --straight 4: 4 m",
     )
 
     def __init__(self, settings: Go1Settings) -> None:

@@ -17,12 +17,15 @@ from hts_go1_runtime.errors import RuntimeFault, Stopped
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.figures import figures
 from hts_go1_runtime.gated import LEAST_DIGITS, gate_in_words, vouched_for
+from hts_go1_runtime.lane import keys_of
 from hts_go1_runtime.lock import alone
 from hts_go1_runtime.loop import Loop, without_collection
 from hts_go1_runtime.machine import Limits
 from hts_go1_runtime.operator_key import StopFile, ask, listen, signals
+from hts_go1_runtime.options import Options
+from hts_go1_runtime.room import LONGEST, SHORTEST
 from hts_go1_runtime.rows import LONGEST_ROW
-from hts_go1_runtime.session import Options, Session
+from hts_go1_runtime.session import Session
 from hts_go1_runtime.terminal import that_may_go
 from hts_go1_runtime.trained import beyond
 from hts_go1_runtime.udp import UdpLink
@@ -31,9 +34,12 @@ DONE, REFUSED, STOPPED = 0, 2, 3
 VOUCH = f"{LEAST_DIGITS} digits or more of the hash of a policy that failed the gate and that you want walked"
 ROW_SENSORS = "the pack's current, or the trunk's speed while it walks,"
 KEYS = (
-    "Enter begins. After that: Enter stops at once (it sinks down); s, then Enter: it sits down and the visit ends. "
+    "Enter begins. After that: Enter stops at once (it sinks down); s, then Enter: it sits down and the visit ends; "
+    "l or r, then Enter: it walks on 3 degrees further to the left or right; t, then Enter (with --straight): it turns "
+    "round now. "
     "Anything else that is typed now ends this."
 )
+STRAIGHT = "m of floor on which it walks to and fro and turns round at the ends (default: straight on, without end)"
 EXTERNAL = "a measured channel that the robot does not give, and that a sensor of its own logs meanwhile"
 
 
@@ -77,6 +83,7 @@ def _run(bundle: Bundle, options: argparse.Namespace) -> int:
         external=tuple(options.external),
         at_limit=options.at_limit,
         frozen_real_seconds=options.frozen_real_seconds,
+        straight=options.straight,
     )
     stop = bundle.folder / "STOP"
     for path, means in ((stop, "stop"), (bundle.folder / "SIT", "sit down")):
@@ -129,7 +136,7 @@ def _confirm(text: str, yes: bool, session: Session, events: Events) -> None:
     else:
         loop.pause()
         ask(f"{text}\n{KEYS}", loop.heed)
-    listen(loop.brake, gone=events.say, rest=session.rest.ask)
+    listen(loop.brake, gone=events.say, rest=session.rest.ask, steering=keys_of(session.heading))
 
 
 def hurry(priority: int) -> str:
@@ -202,6 +209,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--warmup", type=most_warmup, help="s of walking before a head-to-head (default: the bundle's)")
     run.add_argument("--first-run", action="store_true", help="walk each policy slowly and weakly, record nothing")
     run.add_argument("--at-limit", action="store_true", help="record rows whose trimmed command ended at a limit too")
+    run.add_argument("--straight", type=_number(SHORTEST, LONGEST), metavar="METRES", help=STRAIGHT)
     run.add_argument("--mass", type=_number(1, 100), help="kg of the robot as it walks, for the log")
     run.add_argument("--external", action="append", default=[], metavar="CHANNEL", help=f"{EXTERNAL}; repeatable")
     current, temperature = Limits.current, Limits.temperature

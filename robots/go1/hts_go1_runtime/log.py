@@ -37,7 +37,7 @@ SIM = {  # channel -> (unit, numbers a sample); as `hts` names them
 }
 REAL = {"battery_current": ("A", 0), "battery_voltage": ("V", 0)}  # need an idle level
 BESIDE = {"state_of_charge": ("%", 0), "motor_temperature": ("degC", 12)}  # neither learned nor learned from
-NOTED = ("state_stamp", "state_age_ms", "late_ms", "step_ms", "packets_lost", "packets_late")
+NOTED = ("state_stamp", "state_age_ms", "late_ms", "step_ms", "packets_lost", "packets_late", "phase")
 CHANNELS = SIM | REAL | BESIDE
 
 
@@ -98,9 +98,11 @@ def mapping(
     rate_hz: float,
     facts: Mapping[str, Any],
     frozen_real_seconds: float | None = None,
+    only: Mapping[str, Any] | None = None,
 ) -> str:
     """The mapping of a log, as JSON, which is YAML. facts: of `recording`; frozen_real_seconds: for how long what is
-    measured may repeat itself in it, s, 0: for ever; None: as whoever reads it says."""
+    measured may repeat itself in it, s, 0: for ever; None: as whoever reads it says; only: which rows count, None: all.
+    """
     described: dict[str, Any] = {}
     for name in channels:
         unit, size = CHANNELS[name]
@@ -119,6 +121,7 @@ def mapping(
         "channels": described,
         "recording": dict(facts),
         **({} if frozen_real_seconds is None else {"frozen_real_seconds": frozen_real_seconds}),
+        **({} if only is None else {"only": dict(only)}),
     }
     return json.dumps(content, indent=1) + "\n"
 
@@ -141,7 +144,10 @@ class RowLog:
         self._other: Path | None = None
         columns = ["time", *(column for name in channels for column in columns_of(name)), *NOTED]
         # Stamps to the microsecond; values to seven digits, what a float32 holds.
-        self._format = ",".join(["%.6f"] + ["%.7g"] * (len(columns) - 1 - len(NOTED)) + ["%.6f"] + ["%.6g"] * 5) + "\n"
+        self._format = (
+            ",".join(["%.6f"] + ["%.7g"] * (len(columns) - 1 - len(NOTED)) + ["%.6f"] + ["%.6g"] * (len(NOTED) - 1))
+            + "\n"
+        )
         self._queue: queue.SimpleQueue[list[float] | str | None] = queue.SimpleQueue()
         self._header = ",".join(columns) + "\n"
         self._queue.put(self._header)

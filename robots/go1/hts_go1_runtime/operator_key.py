@@ -12,7 +12,7 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import IO
 
@@ -63,22 +63,24 @@ def listen(
     keys: IO[str] | None = None,
     gone: Callable[[str], None] = lambda line: None,
     rest: Callable[[str], None] | None = None,
+    steering: Mapping[str, Callable[[], None]] | None = None,
 ) -> None:
     """A thread brakes the robot as soon as a line comes from stdin (or `keys`), or that ends: a terminal at any time
     (Ctrl-D, or it is gone), another input once somebody could have typed there (an `ssh` without a terminal that
     dropped). gone: told in a line where there is no key from the beginning; rest: told of a line that is `rest.KEY`
-    alone, which brakes nobody."""
+    alone, which brakes nobody; steering: what is done at other lines that brake nobody."""
     stream = sys.stdin if keys is None else keys
     if stream is None:
         gone(KEY_GONE)
         return
     terminal, began = stream.isatty(), time.monotonic()
+    harmless = {**(steering or {}), **({} if rest is None else {KEY: lambda: rest(f"the key {KEY}")})}
 
     def work() -> None:
         try:
             line = stream.readline()
-            while rest is not None and line.strip().lower() == KEY:
-                rest(f"the key {KEY}")
+            while (typed := line.strip().lower()) in harmless:
+                harmless[typed]()
                 line = stream.readline()
             key = "a key on the terminal" if line else ""
         except OSError:  # a terminal that is gone

@@ -11,6 +11,7 @@ from hts_go1_runtime.bundle import Bundle
 from hts_go1_runtime.events import Events
 from hts_go1_runtime.first_run import FirstRun, never_walked
 from hts_go1_runtime.meeting import unguarded
+from hts_go1_runtime.room import room_in_words, walks_of
 from hts_go1_runtime.rows import Row
 from hts_go1_runtime.trained import beyond
 from hts_go1_runtime.when import began
@@ -31,10 +32,11 @@ def question(
     vouched: Iterable[str],
     channels: Sequence[str],
     warmup: float,
+    straight: float | None = None,
 ) -> str:
     """The question; what needs a look is said to `events` too. vouched: files of policies that failed the gate;
     channels: what the link measures; first_run: each policy walks slowly and weakly, and nothing is recorded; warmup: s
-    of walking before the first row."""
+    of walking before the first row; straight: m, on which it walks to and fro, None: straight on."""
     other = [bundle.other_robot] if bundle.other_robot else []
     if other:
         events.say("made for another robot", robot=bundle.other_robot)
@@ -60,23 +62,26 @@ def question(
             "Begun long ago, so that blocks far apart would be compared (move its logs away to walk all)", old, "; "
         )
         + unguarded(channels)
-        + f"It walks about {metres(bundle, rows, first_run, warmup):.0f} m without a pause, keeps its heading and sees "
-        + "nothing that is in its way. "
+        + (_no_speed(channels) + room_in_words(bundle, rows, straight, first_run, warmup) if straight else "")
+        + f"It walks about {metres(bundle, rows, first_run, warmup):.0f} m {'besides turning, ' if straight else ''}"
+        + "without a pause, keeps its heading and sees nothing that is in its way. "
         + "The robot will stand up and walk. Is everybody clear?"
     )
 
 
 def metres(bundle: Bundle, rows: Sequence[Row], first_run: bool, warmup: float) -> float:
     """How far a visit walks from standing up to sitting down, m, at the speeds that are asked for."""
-    if first_run:
-        first = FirstRun.of(bundle.manifest)
-        walks = [one for file in dict.fromkeys(row.policy for row in rows) for one in first.commands(rows, file)]
-    else:
-        trims = [row.commands[0] for row in rows if row.trim]
-        held = 0.0 if bundle.hold is None else bundle.hold.seconds
-        walks = [(warmup, *rows[0].commands[0][1:]), *((held, *one[1:]) for one in trims)]
-        walks += [one for row in rows for one in row.commands]
-    return sum(seconds * math.hypot(vx, vy) for seconds, vx, vy, _ in walks)
+    whole, counted = walks_of(bundle, rows, first_run, warmup)
+    return sum(seconds * math.hypot(vx, vy) for seconds, vx, vy, _ in (*whole, *counted))
+
+
+def _no_speed(channels: Sequence[str]) -> str:
+    if "base_velocity" in channels:
+        return ""
+    return (
+        "The link gives no speed of the trunk: where the straight ends is told from the commanded speed, and a policy "
+        "may walk half as fast again (t, then Enter, turns it round). "
+    )
 
 
 def slowly(bundle: Bundle, rows: Sequence[Row]) -> list[Row]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,47 +16,28 @@ from hts_go1_runtime.falls import WHILE_TRIMMED, Walked, fell
 from hts_go1_runtime.first_run import FirstRun, walked_before
 from hts_go1_runtime.frozen import Missing, RowSensors
 from hts_go1_runtime.gated import vouched_for
-from hts_go1_runtime.heading import Heading
+from hts_go1_runtime.heading import STRAIGHT, Heading
 from hts_go1_runtime.held import FILE, read_held, written
 from hts_go1_runtime.idle import Readings, changed, check_read, levels, readings
 from hts_go1_runtime.keeping import Keeper
-from hts_go1_runtime.link import DAMPING, Command, Link, State
+from hts_go1_runtime.link import Command, Link, State
 from hts_go1_runtime.log import RowLog, mapping, measured, samples
 from hts_go1_runtime.loop import FIRST_STATE, Loop
-from hts_go1_runtime.machine import SIT, STAND
 from hts_go1_runtime.meeting import NEEDED, check_channels, check_draws, check_lies, meet
 from hts_go1_runtime.nearing import Nearing
+from hts_go1_runtime.options import Options
 from hts_go1_runtime.policy import Policy
+from hts_go1_runtime.poses import LETTING_GO, sit_down, stand_up
 from hts_go1_runtime.question import question
 from hts_go1_runtime.rest import Rest
+from hts_go1_runtime.room import lane_for
 from hts_go1_runtime.rows import Row, steps_of
 from hts_go1_runtime.trained import over, ranges_of
 from hts_go1_runtime.trimming import Trimming
 from hts_go1_runtime.when import noted as noted_when
 
-STAND_KP, STAND_KD = np.full(12, 40.0), np.full(12, 1.0)
-FAR = 0.6  # rad: from further away the robot folds its legs before it stands up
-UP_SECONDS, DOWN_SECONDS, STAND_SECONDS, LETTING_GO = 2.0, 2.0, 1.0, 1.0
 STILL = [(LETTING_GO, 0.0, 0.0, 0.0)]
 DAMP_SECONDS = 1.0  # of repeated damping commands after a stop, in case some are lost
-
-
-@dataclass(frozen=True)
-class Options:
-    """rows: names, none: all without a log; idle_seconds: to measure the idle levels, 0: not; warmup_seconds: None: the
-    bundle's; first_run: walk each policy slowly and weakly, record nothing; mass_kg: for the mapping; vouched: hashes
-    of policies that failed the gate and are to be walked; external: channels that a sensor of its own logs; at_limit:
-    record rows at a limit of the command too; frozen_real_seconds: None: the bundle's."""
-
-    rows: tuple[str, ...] = ()
-    idle_seconds: float = 10.0
-    warmup_seconds: float | None = None
-    first_run: bool = False
-    mass_kg: float | None = None
-    vouched: tuple[str, ...] = ()
-    external: tuple[str, ...] = ()
-    at_limit: bool = False
-    frozen_real_seconds: float | None = None
 
 
 class Session:
@@ -75,7 +54,7 @@ class Session:
         self._idle: dict[str, float] = {}
         self._when: dict[str, str] = {}  # the present row began
         self._torque_share = 1.0  # of what the joints may be told
-        self._heading = Heading()
+        self.heading: Heading = Heading()
         self._held = read_held(bundle.logs, bundle.hold)
         self._vouched: dict[str, str] = {}
 
@@ -92,6 +71,10 @@ class Session:
             self.events.say("vouched for", policy=file, gate=why)
         with self.events.stops():
             self._meet(rows)
+            if self.options.straight is not None:
+                self.heading = lane_for(
+                    self.bundle, rows, self.options, self.loop.period, self._channels, self.events.say
+                )
             confirm(self._question(rows))
             check_lies(self.loop.resume() or [self.loop.state])  # somebody may have thought for long
         try:
@@ -175,6 +158,7 @@ class Session:
             vouched=self._vouched,
             channels=self._channels,
             warmup=self._warmup_seconds(rows[0]),
+            straight=self.options.straight,
         )
 
     def _measure_idle(self, what: str) -> tuple[Readings, dict[str, float]]:
@@ -198,33 +182,12 @@ class Session:
             )
 
     def _stand_up(self) -> None:
-        start = self.loop.state.q.copy()
-        self._blend(start, start, 0.5, rising=True)
-        if np.abs(start - STAND).max() > FAR:
-            self._blend(start, SIT, 1.0)
-            start = SIT
-        self._blend(start, STAND, UP_SECONDS)
-        self._blend(STAND, STAND, STAND_SECONDS)
+        stand_up(self.loop, self.bundle.reach)
         self.events.say("standing")
 
     def _sit_down(self) -> None:
-        here = self.loop.state.q.copy()
-        self._blend(here, STAND, 0.8)
-        self._blend(STAND, SIT, DOWN_SECONDS)
-        self._blend(SIT, SIT, LETTING_GO, rising=False)
+        sit_down(self.loop, self.bundle.reach)
         self.events.say("sat down")
-
-    def _blend(self, begin: np.ndarray, end: np.ndarray, seconds: float, rising: bool | None = None) -> None:
-        """From pose to pose without a jerk. rising: gains grow from nothing (True), or stiffness falls to nothing and
-        damping grows to that of the safe command (False): let go undamped, the legs would fall against their stops."""
-        steps = max(1, round(self.bundle.reach.blend_seconds(begin, end, seconds) / self.loop.period))
-        for number in range(1, steps + 1):
-            share = 0.5 - 0.5 * math.cos(math.pi * number / steps)
-            strength = 1.0 if rising is None else share if rising else 1.0 - share
-            pose = self.bundle.reach.inside(begin + share * (end - begin))
-            braking = DAMPING.kd - strength * (DAMPING.kd - STAND_KD) if rising is False else strength * STAND_KD
-            command = Command(pose, strength * STAND_KP, braking)
-            self.loop.tick(lambda _, sent=command: sent)  # type: ignore[misc]
 
     # ------------------------------------------------------------------------------------------ walking
 
@@ -276,14 +239,17 @@ class Session:
         self.events.say("row", log=row.log, policy=row.policy, seconds=row.seconds)
         self._when = noted_when(self.link.simulated)
         log = RowLog(self.bundle.logs, row.log, self._channels, self._described(row))
-        self._heading.begin()
+        self.heading.begin()
         policy.start()
         sensors = self._sensors(row)
+
+        def after(state: State) -> None:
+            sensors.see(state)
+            self._keeper.check(log)
+
         try:
             for command in commands:
-                state = self._step(policy, command, log)
-                sensors.see(state)
-                self._keeper.check(log)
+                self._walk(policy, command, log, after)
         except Exception as ended:
             if fell(ended, row, log.rows):
                 self._fallen(log, row)
@@ -307,12 +273,12 @@ class Session:
         assert hold is not None
         asked, vouched = row.commands[0][1], self.options.at_limit
         trimming = Trimming(asked, hold.commands, hold.seconds, self.loop.period, vouched)
-        self._heading.begin()
+        self.heading.begin()
         policy.start()
         walked = Walked(round(row.seconds / self.loop.period))
         try:
             for _ in range(round(hold.seconds / self.loop.period)):
-                state = self._step(policy, np.array([trimming.command, 0.0, 0.0]), walked)
+                state = self._walk(policy, np.array([trimming.command, 0.0, 0.0]), walked)
                 trimming.see(float(state.velocity[0]))
         except Stopped as stopped:
             if fell(stopped, row, len(walked)):
@@ -334,11 +300,31 @@ class Session:
         self.events.say("fell: kept as this row's log; to walk the row again, move the log away", log=row.log)
 
     def _stroll(self, policy: Policy, commands: Sequence[tuple[float, float, float, float]]) -> None:
-        """Walk without recording."""
-        self._heading.begin()
+        """Walk without recording; turns are part of it, and no policy leaves half of one to the next."""
+        self.heading.begin()
         policy.start()
-        for command in steps_of(commands, self.bundle.rate_hz):
+        steps = steps_of(commands, self.bundle.rate_hz)
+        for command in steps:
+            self.heading.counts(command)
             self._step(policy, command, None)
+        while self.heading.phase != STRAIGHT and not self.heading.counts(steps[-1]):
+            self._step(policy, steps[-1], None)
+
+    def _walk(
+        self,
+        policy: Policy,
+        asked: np.ndarray,
+        log: RowLog | Walked,
+        after: Callable[[State], None] = lambda state: None,
+    ) -> State:
+        """A step of straight walking, whose state it returns; before it whole turns, where the straight is over. after:
+        what is done after each step of them all."""
+        while True:
+            counts = self.heading.counts(asked)
+            state = self._step(policy, asked, log)
+            after(state)
+            if counts:
+                return state
 
     def _step(self, policy: Policy, asked: np.ndarray, log: RowLog | Walked | None) -> State:
         """One control step of a policy; recorded if there is a log."""
@@ -347,7 +333,7 @@ class Session:
 
         def make(state: State) -> Command:
             given["began"] = time.perf_counter()
-            given["sent"] = sent = self._heading.steered(policy, asked, state)
+            given["sent"] = sent = self.heading.steered(policy, asked, state)
             targets = policy.targets(state, sent)
             if np.isfinite(targets).all():  # else the loop stops the robot: a limit would make a number of infinity
                 if self._torque_share < 1 or reach.weaker:
@@ -363,7 +349,9 @@ class Session:
         if log is not None:
             counts, now, took = self.link.counts, self.link.now(), time.perf_counter() - given["began"]
             noted = (state.stamp, 1e3 * (now - state.received), 1e3 * (now - self.loop.due), 1e3 * took)
-            log.write(now, samples(state, given["sent"], given["command"]), (*noted, counts.lost, counts.late))
+            told = (*noted, counts.lost, counts.late, self.heading.phase)
+            log.write(now, samples(state, given["sent"], given["command"]), told)
+        self.heading.see(state, given["sent"])
         self._nearing.see(state)
         self._needed.see(state)
         return state
@@ -393,5 +381,8 @@ class Session:
         }
         if self.options.mass_kg is not None:
             facts["mass_kg"] = self.options.mass_kg
-        frozen = self.options.frozen_real_seconds
-        return mapping(self._channels, self._idle, self.bundle.rate_hz, facts, frozen)
+        frozen, straight = self.options.frozen_real_seconds, self.options.straight
+        if straight is not None:
+            facts["notes"]["straight"] = f"to and fro on {straight:g} m"
+        only = None if straight is None else {"column": "phase", "number": STRAIGHT}
+        return mapping(self._channels, self._idle, self.bundle.rate_hz, facts, frozen, only)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TextIO
 
 from hts.errors import HtsError
 from hts_go1_runtime.cli import Parser, hurry, whole
@@ -29,6 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--quiet-seconds", type=float, default=20.0, help="end when nobody has spoken for so long")
     parser.add_argument("--tick-ms", type=float, default=4.0, help="in lockstep: how often the simulation waits")
     parser.add_argument("--priority", type=int, default=0, help="real-time, 1 to 99, where the system allows it")
+    parser.add_argument("--trace", type=Path, metavar="FILE", help="of where it walks: time s, x m, y m, heading rad")
     given = parser.parse_args(arguments)
     states = round(given.tick_ms / 1e3 / STATE_SECONDS)
     if states < 1 or abs(given.tick_ms / 1e3 - states * STATE_SECONDS) > 1e-9:
@@ -49,12 +52,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
             hurry(given.priority)
         try:  # who reads that it is ready may end it in the same instant
             print(f"ready on 127.0.0.1:{line.port}, {body.mass_kg:g} kg", flush=True)
-            serve(body, line, given.lockstep, given.quiet_seconds, states)
+            with _trace(given.trace, parser) as trace:
+                serve(body, line, given.lockstep, given.quiet_seconds, states, trace)
         finally:
             print(f"{body.falls} falls, {body.clock:.1f} s, {line.lost} packets lost, {line.delayed} late", flush=True)
     finally:
         body.close()
     return 0
+
+
+@contextlib.contextmanager
+def _trace(path: Path | None, parser: Parser) -> Iterator[TextIO | None]:
+    """A file of comma-separated lines, written as they come; None where nobody asked for it."""
+    if path is None:
+        yield None
+        return
+    try:
+        file = path.open("w", buffering=1, encoding="utf-8")
+    except OSError as error:
+        parser.error(f"--trace {path}: cannot be written ({error.strerror}).")
+    with file:
+        file.write("time,x,y,heading\n")
+        yield file
 
 
 def ready(reality: str | None, objectives: list[str], seed: int) -> Body:

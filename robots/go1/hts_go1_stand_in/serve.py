@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import TextIO
 
 import numpy as np
 
@@ -11,12 +12,15 @@ from hts_go1_runtime.packet import numbers_of_state
 from hts_go1_stand_in.body import STATE_SECONDS, Body
 from hts_go1_stand_in.line import Line
 
+TRACED = 25  # states between two lines of a trace: 0.1 s
 BEHIND = 0.25  # s that a real-time robot may fall behind before it lets time go
 
 
-def serve(body: Body, line: Line, lockstep: bool, quiet: float, states_per_tick: int = 1) -> None:
+def serve(
+    body: Body, line: Line, lockstep: bool, quiet: float, states_per_tick: int = 1, trace: TextIO | None = None
+) -> None:
     """Until the runtime has been silent for `quiet` s. states_per_tick: after how many states the simulation waits for
-    the runtime, in lockstep; each wait costs two changes of process."""
+    the runtime, in lockstep; each wait costs two changes of process; trace: a file for where the robot is."""
     line.heard = time.monotonic()
     while not line.greeted:
         line.commands(0.0, 0.2)
@@ -38,6 +42,8 @@ def serve(body: Body, line: Line, lockstep: bool, quiet: float, states_per_tick:
             if left < -BEHIND:
                 began += -left
         body.advance()
+        if trace is not None and sequence % TRACED == 0:
+            trace.write(",".join(f"{one:.4f}" for one in (body.clock, *body.place())) + "\n")
         sequence += 1
 
 

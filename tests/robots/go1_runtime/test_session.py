@@ -29,7 +29,7 @@ from hts_go1_runtime.events import Events
 from hts_go1_runtime.fake import failing, standing
 from hts_go1_runtime.idle import changed
 from hts_go1_runtime.link import DAMPING, NOTHING, Command
-from hts_go1_runtime.log import CHANNELS, RowLog, samples
+from hts_go1_runtime.log import CHANNELS, NOTED, RowLog, samples
 from hts_go1_runtime.loop import Loop
 from hts_go1_runtime.machine import STAND, TARGET_HIGH, TARGET_LOW, Limits
 from hts_go1_runtime.rows import steps_of
@@ -194,7 +194,7 @@ def test_steps_are_rounded_in_total():
 def rows(log: RowLog, count: int) -> None:
     for number in range(count):
         state = standing(number, 0.02 * number)
-        log.write(100 + 0.02 * number, samples(state, np.zeros(3), Command(STAND, STAND, STAND)), (0.0,) * 6)
+        log.write(100 + 0.02 * number, samples(state, np.zeros(3), Command(STAND, STAND, STAND)), (0.0,) * len(NOTED))
 
 
 def test_a_full_disk_is_said_and_nothing_is_lost(tmp_path, monkeypatch):
@@ -273,11 +273,11 @@ from pathlib import Path
 import numpy as np
 from hts_go1_runtime.fake import standing
 from hts_go1_runtime.link import Command
-from hts_go1_runtime.log import CHANNELS, RowLog, samples
+from hts_go1_runtime.log import CHANNELS, NOTED, RowLog, samples
 folder = Path(sys.argv[1])
 log = RowLog(folder, "00", list(CHANNELS))
 for number in range(101):
-    log.write(0.02 * number, samples(standing(0, 0.0), np.zeros(3), Command(*np.zeros((3, 12)))), (0.0,) * 6)
+    log.write(0.02 * number, samples(standing(0, 0.0), np.zeros(3), Command(*np.zeros((3, 12)))), (0.0,) * len(NOTED))
 partial, end = folder / ".00.csv.partial", time.monotonic() + 60
 while not (partial.exists() and len(partial.read_text().splitlines()) == 102) and time.monotonic() < end:
     time.sleep(0.05)

@@ -24,6 +24,7 @@ from hts_go1_runtime.fake import standing
 from hts_go1_runtime.link import NOTHING, Command
 from hts_go1_runtime.machine import STAND
 from hts_go1_runtime.packet import COMMAND, DONE, LARGEST, numbers_of_command, numbers_of_state, pack, unpack
+from hts_go1_runtime.room import END, SIDE
 from hts_go1_runtime.udp import UdpLink
 from hts_go1_stand_in.body import PATIENCE, STATE_SECONDS, Body
 from hts_go1_stand_in.cli import main
@@ -201,13 +202,14 @@ def test_a_robot_that_is_ready_loads_nothing_more_for_its_states():
     assert said == "[]\n"
 
 
-def visit(bundle: Path, *options: str) -> None:
+def visit(bundle: Path, *options: str, robot_options: tuple[str, ...] = ()) -> None:
     """The runtime in one process, the stand-in with a bad line in another, in lockstep."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(part for part in sys.path if part)}
     # The pack of `dev-03` is small: with one seed in eight it dips below the limit for a moment as the robot sets off.
     line = ["--reality", "dev-03", "--lockstep", "--loss", "0.02", "--late", "0.02", "--seed", "1"]
+    line += ["--quiet-seconds", "300"]
     robot = subprocess.Popen(
-        [sys.executable, "-W", "ignore", "-m", "hts_go1_stand_in", "--port", "0", "--quiet-seconds", "300", *line],
+        [sys.executable, "-W", "ignore", "-m", "hts_go1_stand_in", "--port", "0", *line, *robot_options],
         stdout=subprocess.PIPE,
         text=True,
         env=environment,
@@ -262,6 +264,23 @@ def test_in_lockstep_two_visits_with_one_seed_give_one_log(bundle):
             path.unlink()
     assert len(tables[0]) == 50
     assert tables[0] == tables[1]
+
+
+@pytest.mark.slow
+def test_a_visit_in_a_room_stays_in_it_and_its_rows_have_their_seconds(bundle, tmp_path):
+    trace = tmp_path / "trace.csv"
+    options = ["--idle-seconds", "0", "--warmup", "0", "--straight", "1.8"]
+    visit(bundle, *options, robot_options=("--trace", str(trace)))
+    x, y = np.loadtxt(trace, delimiter=",", skiprows=1)[:, 1:3].T  # it begins at 0, facing along x
+    assert x.min() > -END and 1.4 < x.max() < 1.8 + END
+    assert np.abs(y).max() < SIDE
+    said = [json.loads(line)["what"] for line in (bundle / "logs" / "events.jsonl").read_text().splitlines()]
+    assert said.count("turned round") >= 1
+    registry = plugins.load()
+    for name in ("00", "01"):
+        mapping = load_mapping(bundle / "logs" / "mappings" / f"{name}.yaml")
+        recording = read_log(registry, [bundle / "logs" / f"{name}.csv"], mapping, registry.make_robot("go1"))
+        assert recording.seconds == pytest.approx(1.0, abs=0.05)
 
 
 INTERRUPTED = """
