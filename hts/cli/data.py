@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from hts.recordings.recording import Recording
     from hts.recordings.store import RecordingStore
 
+CANNOT_BE_SAID = 3
+"""Exit code of a question that the data do not answer: neither no (1) nor an error (2)."""
+
 app = options.group("Look into a recording store: ls, show, compare, validate, lag, enough; export it.")
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The store, such as RUN/data.zarr.")]
@@ -181,16 +184,16 @@ def enough(
 ) -> None:
     """Whether this is enough data for a model to trust: what is missing, and the error on policies held out.
 
-    Exit code 1 where something is missing.
+    Exit code 1 where something is missing, 3 where that cannot be said of a --speed, since no speeds are stated.
     """
     from hts.cli.data_use import show_enough
     from hts.measurement.wanted import Wanted
 
-    lines, complete = show_enough(store, objective, Wanted(target, tuple(input_ or ())), speed or (), as_json)
+    lines, verdict = show_enough(store, objective, Wanted(target, tuple(input_ or ())), speed or (), as_json)
     for line in lines:
         say(line)
-    if not complete:
-        raise typer.Exit(1)
+    if verdict is not True:
+        raise typer.Exit(CANNOT_BE_SAID if verdict is None else 1)
 
 
 @app.command()

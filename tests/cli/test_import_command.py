@@ -13,6 +13,8 @@ from hts.channels import Channel
 from hts.cli.main import main
 from hts.contracts import LogOnlyRobot, RobotSpec
 from hts.recordings import RecordingStore
+from hts.recordings.on_schedule import NOT_STATED
+from hts.testing.known_signals import known_heat
 
 STEPS = np.arange(600)
 
@@ -196,6 +198,22 @@ def test_a_verdict_says_what_is_missing_and_exits_with_1(lab):
     assert any("no policy is named" in line for line in out)
     found = json.loads("\n".join(lab("data", "enough", "s.zarr", "--objective", "cool", "--json")[1]))
     assert found["enough"] is False and found["seconds"] == 12.0
+
+
+@pytest.mark.parametrize("named", [["--objective", "cool"], CHANNELS])
+def test_a_verdict_without_stated_speeds_exits_with_0_and_with_3_where_one_is_asked_about(lab, tmp_path, named):
+    """Three policies of known heat, 120 s each, as of a machine that has no commanded speed."""
+    store = RecordingStore(tmp_path / "s.zarr", create=True)
+    for seed, (policy, gait) in enumerate((("a", 0.8), ("b", 1.0), ("c", 1.3))):
+        store.write(known_heat(seed, policy, seconds=120.0, gait=gait, notes={"schedule": NOT_STATED}))
+    code, out, _ = lab("data", "enough", "s.zarr", *named)
+    assert code == 0 and out[0].endswith("speeds not stated (recording.schedule in the mapping)")
+    assert out[-1] == "Enough: nothing is missing."
+    code, out, _ = lab("data", "enough", "s.zarr", *named, "--speed", "0.5")
+    assert code == 3 and out[-1] == "Nothing is missing of what can be told."
+    assert out[-2].startswith("cannot be said: whether there are 20 s at 0.5: 360 s")
+    code, out, _ = lab("data", "enough", "s.zarr", *named, "--speed", "0.5", "--json")
+    assert code == 3 and json.loads("\n".join(out))["enough"] is None
 
 
 def test_a_store_is_exported_and_imported_again(lab, tmp_path):
