@@ -260,8 +260,10 @@ def _statistics(recording: Recording) -> dict[str, dict[str, Any]]:
 
 
 def _listed(row: dict[str, Any]) -> tuple[str, ...]:
+    from hts.recordings.on_schedule import stated
+
     speeds = list(dict.fromkeys(_commanded(command) for command in row["schedule"]["commands"]))
-    shown = " ".join(speeds[:4]) + (" …" if len(speeds) > 4 else "")
+    shown = "not stated" if not stated(row["notes"]) else " ".join(speeds[:4]) + (" …" if len(speeds) > 4 else "")
     seconds = f"{row['samples'] / row['rate_hz']:.1f}" + (" fell" if row["fell"] else "")
     place = (str(row["iteration"]), row["role"], row["session"], str(row["block"]))
     return (
@@ -290,7 +292,11 @@ def _stretch(command: dict[str, Any]) -> str:
 
 
 def _schedule(attributes: dict[str, Any]) -> str:
+    from hts.recordings.on_schedule import stated
+
     commands = attributes["schedule"]["commands"]
+    if not stated(attributes["notes"]):
+        return "commands not stated"
     text = ", ".join(_stretch(command) for command in commands[:6])
     return text + (f", … {len(commands) - 6} more" if len(commands) > 6 else "")
 

@@ -216,6 +216,19 @@ def test_a_verdict_without_stated_speeds_exits_with_0_and_with_3_where_one_is_as
     assert code == 3 and json.loads("\n".join(out))["enough"] is None
 
 
+def test_what_was_commanded_is_listed_only_where_somebody_stated_it(lab):
+    assert lab(*STORE)[0] == 0
+    _, out, _ = lab("data", "ls", "s.zarr")
+    assert "  not stated  " in out[1] and "speeds m/s" in out[0]
+    (one,) = RecordingStore("s.zarr").ids()
+    _, out, _ = lab("data", "show", "s.zarr", one)
+    assert "  schedule: commands not stated" in out
+    stood = {"schedule": {"commands": [{"seconds": 12, "vx": 0}]}}
+    assert lab(*STORE[:-1], "t.zarr", recording=stood)[0] == 0
+    _, out, _ = lab("data", "ls", "t.zarr")
+    assert "  0  " in out[1] and "not stated" not in out[1]
+
+
 def test_a_store_is_exported_and_imported_again(lab, tmp_path):
     assert lab(*STORE, runs={"column": "run"})[0] == 0
     code, out, _ = lab("data", "export", "s.zarr", "--to", "set", "--state", "effort", "--action", "rate")
