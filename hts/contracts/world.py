@@ -39,9 +39,10 @@ class WorldContext:
 class HoldSpeed:
     """How a world holds the speed of head-to-heads: the command is trimmed by the measured speed, and then frozen.
 
-    commands: lowest and highest command that was trained, m/s (see `within`); seconds: of trimming of each policy at each speed, its
-    settling included; tolerance: largest difference of the two mean speeds that counts as one speed, as a share of it;
-    again: how often the same was asked for before, in vain: what is recorded now is to be another session.
+    commands: lowest and highest command that was trained, m/s (see `within`); seconds: of trimming of each policy at
+    each speed, its settling included; tolerance: largest difference of the two mean speeds that counts as one speed, as
+    a share of it; again: how often the same was asked for before, in vain: what is recorded now is to be another
+    session.
     """
 
     commands: tuple[float, float]
@@ -129,8 +130,8 @@ class World(ABC):
         trimmed until `base_velocity`, as the robot's sensors give it, is the asked speed on average. Then the command
         is frozen for all of its blocks. A recording's `schedule` keeps the asked speed, its channel `command` holds
         what was sent, and its notes say `held_command` (the frozen one, m/s), `held_saturated` (`true` where a limit of
-        `hold.within(speed)` was reached, else `false`) and `unrecorded_seconds` (what the robot did before this block and
-        after the last recorded one, s).
+        `hold.within(speed)` was reached, else `false`) and `unrecorded_seconds` (what the robot did before this block
+        and after the last recorded one, s).
         """
         return False
 
