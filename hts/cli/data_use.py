@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -38,10 +39,12 @@ def show_enough(
     store: Path, objective: str | None, wanted: Wanted, speeds: Sequence[float], as_json: bool
 ) -> tuple[list[str], bool | None]:
     """The lines, and the verdict: None where it cannot be said whether this is enough."""
-    from hts.errors import RecordingError
+    from hts.errors import ConfigError, RecordingError
     from hts.measurement.enough import enough
     from hts.recordings.lag import EARLY_SECONDS, gauge_lag
 
+    if odd := [speed for speed in speeds if not math.isfinite(speed)]:
+        raise ConfigError(f"--speed {odd[0]}: expected a number, m/s or in the unit of the task's set-point.")
     made, recordings = _usable(store, objective, wanted)
     found = enough(made, recordings, speeds)
     try:

@@ -188,6 +188,12 @@ def test_lag_and_verdict_need_no_objective(lab):
     ):
         code, _, err = lab("data", "lag", "s.zarr", *which)
         assert code == 2 and len(err) == 1 and expected in err[0], err
+    for which, expected in (
+        ((*CHANNELS, "--input", "rate"), "--input rate: is there twice, expected each channel once"),
+        ((*CHANNELS, "--speed", "nan"), "--speed nan: expected a number, m/s"),
+    ):
+        code, _, err = lab("data", "enough", "s.zarr", *which)
+        assert code == 2 and len(err) == 1 and expected in err[0], err
 
 
 def test_a_verdict_says_what_is_missing_and_exits_with_1(lab):
