@@ -134,7 +134,8 @@ class Ensemble(Learner):
                 )
             reports.append(report)
         found = tuple(dict(member.settings) for member in self.members)
-        asked = {name: value for name, value in dict(self.config.member or {}).items() if name != "name"}
+        named = self.config.member if isinstance(self.config.member, dict) else {}
+        asked = {name: value for name, value in named.items() if name != "name"}
         changed = any(one != asked for one in found)
         self.config = self.config.model_copy(update={"fitted": found if changed else None})
         self._scale(torch.cat([piece.inputs for piece in pieces]), torch.cat([piece.target for piece in pieces]))
