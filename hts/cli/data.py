@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from hts.recordings.recording import Recording
     from hts.recordings.store import RecordingStore
 
+CANNOT_BE_SAID = 3
+"""Exit code of a question that the data do not answer: neither no (1) nor an error (2)."""
+
 app = options.group("Look into a recording store: ls, show, compare, validate, lag, enough; export it.")
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The store, such as RUN/data.zarr.")]
@@ -181,16 +184,16 @@ def enough(
 ) -> None:
     """Whether this is enough data for a model to trust: what is missing, and the error on policies held out.
 
-    Exit code 1 where something is missing.
+    Exit code 1 where something is missing, 3 where that cannot be said of a --speed, since no speeds are stated.
     """
     from hts.cli.data_use import show_enough
     from hts.measurement.wanted import Wanted
 
-    lines, complete = show_enough(store, objective, Wanted(target, tuple(input_ or ())), speed or (), as_json)
+    lines, verdict = show_enough(store, objective, Wanted(target, tuple(input_ or ())), speed or (), as_json)
     for line in lines:
         say(line)
-    if not complete:
-        raise typer.Exit(1)
+    if verdict is not True:
+        raise typer.Exit(CANNOT_BE_SAID if verdict is None else 1)
 
 
 @app.command()
@@ -257,8 +260,10 @@ def _statistics(recording: Recording) -> dict[str, dict[str, Any]]:
 
 
 def _listed(row: dict[str, Any]) -> tuple[str, ...]:
+    from hts.recordings.on_schedule import stated
+
     speeds = list(dict.fromkeys(_commanded(command) for command in row["schedule"]["commands"]))
-    shown = " ".join(speeds[:4]) + (" …" if len(speeds) > 4 else "")
+    shown = "not stated" if not stated(row["notes"]) else " ".join(speeds[:4]) + (" …" if len(speeds) > 4 else "")
     seconds = f"{row['samples'] / row['rate_hz']:.1f}" + (" fell" if row["fell"] else "")
     place = (str(row["iteration"]), row["role"], row["session"], str(row["block"]))
     return (
@@ -287,7 +292,11 @@ def _stretch(command: dict[str, Any]) -> str:
 
 
 def _schedule(attributes: dict[str, Any]) -> str:
+    from hts.recordings.on_schedule import stated
+
     commands = attributes["schedule"]["commands"]
+    if not stated(attributes["notes"]):
+        return "commands not stated"
     text = ", ".join(_stretch(command) for command in commands[:6])
     return text + (f", … {len(commands) - 6} more" if len(commands) > 6 else "")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -36,12 +37,14 @@ def show_lag(store: Path, objective: str | None, wanted: Wanted, as_json: bool) 
 
 def show_enough(
     store: Path, objective: str | None, wanted: Wanted, speeds: Sequence[float], as_json: bool
-) -> tuple[list[str], bool]:
-    """The verdict, and whether nothing is missing."""
-    from hts.errors import RecordingError
+) -> tuple[list[str], bool | None]:
+    """The lines, and the verdict: None where it cannot be said whether this is enough."""
+    from hts.errors import ConfigError, RecordingError
     from hts.measurement.enough import enough
     from hts.recordings.lag import EARLY_SECONDS, gauge_lag
 
+    if odd := [speed for speed in speeds if not math.isfinite(speed)]:
+        raise ConfigError(f"--speed {odd[0]}: expected a number, m/s or in the unit of the task's set-point.")
     made, recordings = _usable(store, objective, wanted)
     found = enough(made, recordings, speeds)
     try:
@@ -55,9 +58,11 @@ def show_enough(
         )
         found = replace(found, missing=(*found.missing, early))
     if as_json:
-        known = {**found.as_json(), "enough": not found.missing, "lag": None if late is None else asdict(late)}
-        return [json.dumps(known, indent=2)], not found.missing
-    at = ", ".join(f"{speed:g} ({seconds:.0f} s)" for speed, seconds in found.speeds.items()) or "not stated"
+        known = {**found.as_json(), "enough": found.verdict, "lag": None if late is None else asdict(late)}
+        return [json.dumps(known, indent=2)], found.verdict
+    at = ", ".join(f"{speed:g} ({seconds:.0f} s)" for speed, seconds in found.speeds.items()) or (
+        "not stated (recording.schedule in the mapping)"
+    )
     lines = [
         f"{len(recordings)} recordings, {found.seconds:.0f} s, {found.policies} policies; speeds {at}",
         f"inputs move along {found.directions} of {found.inputs} directions",
@@ -71,8 +76,16 @@ def show_enough(
         name = one.policy[:12] or "(no policy named)"
         lines.append(f"  {name}: {one.seconds:.0f} s, mean {one.measured:.4g} {unit}, error {error} {unit}, R² {along}")
     lines += [f"missing: {line}" for line in found.missing]
-    lines.append("Not enough for a model to trust." if found.missing else "Enough: nothing is missing.")
-    return lines, not found.missing
+    lines += [f"cannot be said: {line}" for line in found.unsaid]
+    lines.append(_VERDICTS[found.verdict])
+    return lines, found.verdict
+
+
+_VERDICTS = {
+    True: "Enough: nothing is missing.",
+    False: "Not enough for a model to trust.",
+    None: "Nothing is missing of what can be told.",
+}
 
 
 def _usable(store: Path, objective: str | None, asked: Wanted) -> tuple[Objective, list[Recording]]:

@@ -14,7 +14,9 @@ ENDLESS = 60.0
 ROUNDED = 0.01
 """rad: so far may a default pose be outside its range, which is rounded somewhere."""
 
+NOT_BELOW_ZERO = ("kp", "kd")  # 0: actions are torques, or nobody knows
 ABOVE_ZERO = (
+    "action_scale",  # joint targets of a log are divided by it
     "torque_limit",  # without one the gate would not look at torques, and a log's would all be beyond it
     "velocity_limit",
     "motors.torque_constant",
@@ -51,6 +53,10 @@ def fault_of_spec(spec: RobotSpec) -> str:
         for joint, value in zip(spec.joint_names, per_joint[name][0], strict=True):
             if not value > 0:
                 return f"spec.{name} of '{joint}' is {value:g}, expected a number above 0"
+    for name in NOT_BELOW_ZERO:
+        for joint, value in zip(spec.joint_names, per_joint[name][0], strict=True):
+            if value < 0:
+                return f"spec.{name} of '{joint}' is {value:g}, expected a number of at least 0"
     return _in_degrees(spec) or _of_no_leg(spec) or fault_of_height(spec) or fault_of_times(spec)
 
 

@@ -39,15 +39,26 @@ class WorldContext:
 class HoldSpeed:
     """How a world holds the speed of head-to-heads: the command is trimmed by the measured speed, and then frozen.
 
-    commands: lowest and highest command that may be sent, m/s; seconds: of trimming of each policy at each speed, its
-    settling included; tolerance: largest difference of the two mean speeds that counts as one speed, as a share of it;
-    again: how often the same was asked for before, in vain: what is recorded now is to be another session.
+    commands: lowest and highest command that was trained, m/s (see `within`); seconds: of trimming of each policy at
+    each speed, its settling included; tolerance: largest difference of the two mean speeds that counts as one speed, as
+    a share of it; again: how often the same was asked for before, in vain: what is recorded now is to be another
+    session.
     """
 
     commands: tuple[float, float]
     seconds: float = 12.0
     tolerance: float = 0.01
     again: int = 0
+
+    def within(self, *speeds: float) -> tuple[float, float]:
+        """Lowest and highest command that may be sent for these asked speeds, m/s. Who is asked to walk forward is
+        never told to walk backward, nor the other way round, whatever was trained."""
+        low, high = self.commands
+        if all(speed > 0 for speed in speeds):
+            return max(low, 0.0), high
+        if all(speed < 0 for speed in speeds):
+            return low, min(high, 0.0)
+        return low, high
 
     def named(self) -> dict[str, Any]:
         """Its part of a request's name, from which a session's names and noise follow: all of it, `again` where it is
@@ -119,8 +130,8 @@ class World(ABC):
         trimmed until `base_velocity`, as the robot's sensors give it, is the asked speed on average. Then the command
         is frozen for all of its blocks. A recording's `schedule` keeps the asked speed, its channel `command` holds
         what was sent, and its notes say `held_command` (the frozen one, m/s), `held_saturated` (`true` where a limit of
-        `hold.commands` was reached, else `false`) and `unrecorded_seconds` (what the robot did before this block and
-        after the last recorded one, s).
+        `hold.within(speed)` was reached, else `false`) and `unrecorded_seconds` (what the robot did before this block
+        and after the last recorded one, s).
         """
         return False
 

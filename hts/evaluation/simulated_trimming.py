@@ -45,7 +45,8 @@ def trim(env: EnvBase, act: Act, asked: torch.Tensor, hold: HoldSpeed, forward: 
     forward [P, N], m/s, in what a step returned. Raises ConfigError for an env that cannot be told other speeds.
     """
     walker = told(env)
-    low, high = hold.commands
+    ranges = asked.new_tensor([hold.within(speed) for speed in asked.tolist()])
+    low, high = ranges[:, 0], ranges[:, 1]
     asked = asked.expand(env.batch_size)
     command = asked.clamp(low, high)
     walker.walk_at(command)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hts.measurement.scoring import one_a_sample, varies
-from hts.recordings.on_schedule import NOT_STATED, command_at
+from hts.recordings.on_schedule import command_at, stated
 
 if TYPE_CHECKING:
     from hts.recordings.recording import Recording
@@ -88,7 +88,7 @@ def _line(values: np.ndarray) -> tuple[float, float]:
 def _stretches(recordings: Sequence[Recording], target: str) -> Iterator[np.ndarray]:
     """The target in each steady stretch of one command."""
     for one in recordings:
-        if one.notes.get("schedule") == NOT_STATED:
+        if not stated(one.notes):
             continue
         at, values = command_at(one), one_a_sample(one, target)
         skip = round(CHANGING_SECONDS * one.rate_hz)

@@ -25,7 +25,7 @@ from hts.measurement.linear import Linear, LinearSettings
 from hts.measurement.scoring import Trace, commanded_speed, pooled_r2, r2
 from hts.measurement.shared import copies, told_of_copies
 from hts.measurement.split import named_part
-from hts.recordings.on_schedule import NOT_STATED
+from hts.recordings.on_schedule import stated
 
 if TYPE_CHECKING:
     from hts.contracts import Objective
@@ -59,7 +59,8 @@ class HeldOut:
 class Enough:
     """seconds: of all; speeds: commanded speed -> seconds; directions, inputs: along how many of how many the inputs
     move; held_out: by policy, or the last part of the data where there is one policy; by_policy: which of both;
-    r2: of all held out; missing: one line for each thing to record, none where it is enough."""
+    r2: of all held out; missing: one line for each thing to record, none where it is enough; unsaid: one line for each
+    question that these recordings do not answer, such as what was walked at a speed where nobody stated the speeds."""
 
     target: str
     unit: str
@@ -72,6 +73,12 @@ class Enough:
     held_out: tuple[HeldOut, ...]
     r2: float | None
     missing: tuple[str, ...]
+    unsaid: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> bool | None:
+        """Whether it is enough; None where nothing is missing but a question has no answer."""
+        return False if self.missing else None if self.unsaid else True
 
     def as_json(self) -> dict[str, Any]:
         """Plain JSON values."""
@@ -92,15 +99,18 @@ def enough(objective: Objective, recordings: Sequence[Recording], speeds: Sequen
     twice, again = told_of_copies(recordings, channels), {id(other) for _, other in copies(recordings, channels)}
     recordings = [one for one in recordings if id(one) not in again]
     policies = list(dict.fromkeys(one.policy_hash for one in recordings))
-    at = _speeds(recordings)
+    at, unstated = _speeds(recordings)
     seconds = float(sum(one.seconds for one in recordings))
     directions, inputs = _directions(signals, recordings)
     by_policy = len(policies) > 1
     pairs = _by_policy(recordings, policies) if by_policy else _by_time(recordings)
     held_out, found = _held_out(objective, signals, pairs)
+    too_slow, unsaid = _at_speeds(speeds, at, unstated)
     missing = [
         *twice,
-        *_too_little(seconds, policies, at, speeds, directions, inputs),
+        *_too_little(seconds, policies),
+        *too_slow,
+        *_too_alike(directions, inputs),
         *_too_wrong(held_out, found, by_policy, objective.target.unit),
     ]
     if slow := drift_note(objective.target.name, drift(recordings, objective.target.name)):
@@ -117,17 +127,21 @@ def enough(objective: Objective, recordings: Sequence[Recording], speeds: Sequen
         held_out=tuple(held_out),
         r2=found,
         missing=tuple(missing),
+        unsaid=tuple(unsaid),
     )
 
 
-def _speeds(recordings: Sequence[Recording]) -> dict[float, float]:
+def _speeds(recordings: Sequence[Recording]) -> tuple[dict[float, float], float]:
+    """Seconds at each commanded speed, and those of recordings that state none."""
     at: dict[float, float] = defaultdict(float)
+    unstated = 0.0
     for one in recordings:
-        if one.notes.get("schedule") == NOT_STATED:
+        if not stated(one.notes):
+            unstated += one.seconds
             continue
         for speed, count in zip(*np.unique(commanded_speed(one), return_counts=True), strict=True):
             at[float(speed)] += float(count) / one.rate_hz
-    return dict(sorted(at.items()))
+    return dict(sorted(at.items())), unstated
 
 
 def _directions(signals: Signals, recordings: Sequence[Recording]) -> tuple[int, int]:
@@ -190,14 +204,7 @@ def _held_out(objective: Objective, signals: Signals, pairs: Sequence[Pair]) -> 
     return found, pooled_r2(everything)
 
 
-def _too_little(
-    seconds: float,
-    policies: Sequence[str],
-    at: dict[float, float],
-    speeds: Sequence[float],
-    directions: int,
-    inputs: int,
-) -> list[str]:
+def _too_little(seconds: float, policies: Sequence[str]) -> list[str]:
     found = []
     if seconds < LEAST_SECONDS:
         found.append(
@@ -209,21 +216,38 @@ def _too_little(
             f"record other policies, {LEAST_POLICIES} at least: {there}, so nothing shows how wrong a model is about a "
             "policy that it has not seen"
         )
-    if not at:
-        found.append("state the commanded speeds (recording.schedule in the mapping): no recording does")
+    return found
+
+
+def _at_speeds(speeds: Sequence[float], at: dict[float, float], unstated: float) -> tuple[list[str], list[str]]:
+    """What is missing at the speeds that are asked about, and what cannot be said of them: where that many seconds are
+    of recordings without speeds, they may be there."""
+    missing, unsaid = [], []
     for speed in speeds:
-        there_at = sum(one for known, one in at.items() if abs(known - speed) < SAME_SPEED)
-        if at and there_at < SECONDS_AT_A_SPEED:
-            found.append(
-                f"record {SECONDS_AT_A_SPEED - there_at:.0f} s more at {speed:g}: there are {there_at:.0f} s, expected "
+        there = sum(one for known, one in at.items() if abs(known - speed) < SAME_SPEED)
+        if there >= SECONDS_AT_A_SPEED:
+            continue
+        if there + unstated >= SECONDS_AT_A_SPEED:
+            unsaid.append(
+                f"whether there are {SECONDS_AT_A_SPEED:g} s at {speed:g}: {unstated:.0f} s are of recordings that "
+                "state no commanded speed. State it (recording.schedule in the mapping), or ask without --speed"
+            )
+        else:
+            missing.append(
+                f"record {SECONDS_AT_A_SPEED - there:.0f} s more at {speed:g}: there are {there:.0f} s, expected "
                 f"{SECONDS_AT_A_SPEED:g}"
             )
-    if inputs and directions < LEAST_DIRECTIONS * inputs:
-        found.append(
-            f"record with exploration noise: 95 % of how the {inputs} inputs move lies along {directions} directions, "
-            f"expected {np.ceil(LEAST_DIRECTIONS * inputs):.0f}; one gait does not tell joints apart"
-        )
-    return found
+    return missing, unsaid
+
+
+def _too_alike(directions: int, inputs: int) -> list[str]:
+    if not inputs or directions >= LEAST_DIRECTIONS * inputs:
+        return []
+    line = (
+        f"record with exploration noise: 95 % of how the {inputs} inputs move lies along {directions} directions, "
+        f"expected {np.ceil(LEAST_DIRECTIONS * inputs):.0f}; one gait does not tell joints apart"
+    )
+    return [line]
 
 
 def _too_wrong(held_out: Sequence[HeldOut], found: float | None, by_policy: bool, unit: str) -> list[str]:

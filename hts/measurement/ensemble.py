@@ -22,7 +22,7 @@ from torch import Tensor
 from hts.config import Config, Named
 from hts.contracts import MeasurementModel, ModelContext, Prediction
 from hts.errors import ConfigError
-from hts.measurement.data import training_data
+from hts.measurement.data import input_tensor, training_data
 from hts.measurement.fit_settings import Learner
 from hts.measurement.split import part
 
@@ -44,6 +44,11 @@ class EnsembleSettings(Config):
     beta: float = Field(
         1.0, ge=0, description="β: the reward is that of the worse end of mean ± β standard deviations; 0: of the mean"
     )
+    fitted: tuple[dict[str, Any], ...] | None = Field(
+        None,
+        description="written by the fit: settings of each member, where its fit wrote some down that differ from "
+        "`member`, such as which torque it took; null: none did",
+    )
 
 
 def make(settings: Mapping[str, Any], context: ModelContext) -> MeasurementModel:
@@ -61,7 +66,10 @@ def make(settings: Mapping[str, Any], context: ModelContext) -> MeasurementModel
     if registry is None:
         raise ConfigError("ensemble: its members come from the registry. Make it with registry.make_measurement_model.")
     of_member = replace(context, physics_steps=0)  # it is asked once a control step, and so are they
-    members = [registry.make_measurement_model(member.name, member.settings, of_member) for _ in range(config.members)]
+    each = config.fitted or (member.settings,) * config.members
+    if len(each) != config.members:
+        raise ConfigError(f"ensemble: fitted: describes {len(each)} members of {config.members}. The fit writes it.")
+    members = [registry.make_measurement_model(member.name, one, of_member) for one in each]
     return Ensemble(config, members)
 
 
@@ -74,7 +82,7 @@ class Ensemble(Learner):
     def __init__(self, config: EnsembleSettings, members: Sequence[MeasurementModel]) -> None:
         self.members, self.signals = tuple(members), members[0].signals
         named = {"name": members[0].name, **members[0].settings}
-        self.config = config.model_copy(update={"member": named})
+        self.config = config if config.fitted else config.model_copy(update={"member": named})
         self.pessimism = config.beta
         self._own = {
             "scale": torch.ones(len(members)),
@@ -125,6 +133,11 @@ class Ensemble(Learner):
                     warm_start=before[index] if before is not None else None,
                 )
             reports.append(report)
+        found = tuple(dict(member.settings) for member in self.members)
+        named = self.config.member if isinstance(self.config.member, dict) else {}
+        asked = {name: value for name, value in named.items() if name != "name"}
+        changed = any(one != asked for one in found)
+        self.config = self.config.model_copy(update={"fitted": found if changed else None})
         self._scale(torch.cat([piece.inputs for piece in pieces]), torch.cat([piece.target for piece in pieces]))
         return {
             "samples": sum(len(piece.target) for piece in pieces),
@@ -157,9 +170,12 @@ class Ensemble(Learner):
         return _together([member.reset(part, begun) for member, part in pairs])
 
     def sequence(self, inputs: Tensor, state: Tensor | None = None) -> tuple[Prediction, Tensor]:
+        """inputs: (W, T, F), or (W, T, K, ...) of `inputs_along`, where each member has its own."""
         states = [None] * len(self.members) if state is None else state.unbind(1)
-        pairs = zip(self.members, states, strict=True)
-        return self._joined([member.sequence(inputs, part) for member, part in pairs])
+        each = inputs.unbind(2) if inputs.ndim > 3 else [inputs] * len(self.members)
+        return self._joined(
+            [one.sequence(own, part) for one, own, part in zip(self.members, each, states, strict=True)]
+        )
 
     @torch.no_grad()
     def step(self, inputs: Tensor, state: Tensor) -> tuple[Prediction, Tensor]:
@@ -177,6 +193,16 @@ class Ensemble(Learner):
         scale, shift = self._own["scale"], self._own["shift"]
         each = torch.stack([scale[k] * one.mean + shift[k] for k, (one, _) in enumerate(found)])
         return Prediction(each.mean(0), each.std(0)), _together([state for _, state in found])
+
+    def inputs_along(self, recording: Recording) -> Tensor | None:
+        """What each member was fitted to, (T, K, ...): one may have taken computed torques, another those that were
+        read. None where all take the channels as they are, or where members' inputs have different shapes."""
+        own = [member.inputs_along(recording) for member in self.members]
+        if all(inputs is None for inputs in own):
+            return None
+        read = input_tensor(self.signals, recording)
+        each = [read if inputs is None else inputs for inputs in own]
+        return torch.stack(each, 1) if len({one.shape for one in each}) == 1 else None
 
     def outside(self, inputs: Tensor) -> Tensor:
         outside = inputs.clamp(self._own["input_low"], self._own["input_high"]) != inputs

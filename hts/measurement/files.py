@@ -70,7 +70,11 @@ def load(path: Path, device: torch.device | str = "cpu", registry: Registry | No
 
     registry: where the model is made by its name; None: of everything that is installed.
     """
-    path = Path(path).with_suffix(".safetensors")
+    given, path = Path(path), Path(path).with_suffix(".safetensors")
+    if given.is_dir() and not path.exists():
+        inside = given / "model.safetensors"
+        there = "which is there: give that path" if inside.is_file() else "which is not there"
+        raise PolicyError(f"{given}: is a folder, expected a measurement model. `hts fit` writes {inside}, {there}.")
     card = read_card(path)
     numbers = _read(path)
     if hashlib.sha256(numbers).hexdigest() != card["sha256"]:

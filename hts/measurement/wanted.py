@@ -35,6 +35,8 @@ class Wanted:
             raise ConfigError("--target and --input go without an objective: leave them out, or --objective.")
         if objective is None and not self.inputs:
             raise ConfigError(f"--target {self.target}: say what to predict it from, --input CHANNEL for each channel.")
+        if twice := [name for number, name in enumerate(self.inputs) if name in self.inputs[:number]]:
+            raise ConfigError(f"--input {twice[0]}: is there twice, expected each channel once. Leave one out.")
         return objective if objective is not None else str(self.target)
 
 

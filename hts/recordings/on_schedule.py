@@ -7,7 +7,7 @@ their stamps are rounded, so a moment is compared halfway between samples: one t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 
 NOT_STATED = "not stated in the mapping"
 """Note `schedule` of a recording whose log came without its commands: one of standing is made up for it."""
+
+
+def stated(notes: Mapping[str, str]) -> bool:
+    """Whether somebody said what was commanded in the recording with these notes; its schedule means nothing else."""
+    return notes.get("schedule") != NOT_STATED
 
 
 def samples_at(recording: Recording, moments: Sequence[float] | np.ndarray) -> np.ndarray:

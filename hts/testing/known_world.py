@@ -120,7 +120,8 @@ class KnownWorld(World):
         spec, rng = self.robot.spec, np.random.default_rng(seed_sequence(self.seed, "0", walk))
         commanded, notes = commands(schedule, spec.control_rate_hz), {}
         if self._hold is not None and role != "collection":
-            (low, high), wanted = self._hold.commands, schedule.commands[0].vx / pace
+            asked = schedule.commands[0].vx
+            (low, high), wanted = self._hold.within(asked), asked / pace
             commanded[:, 0] = held = min(max(wanted, low), high)
             notes = {"held_command": repr(held), "held_saturated": "false" if low < wanted < high else "true"}
         values = {

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -225,16 +226,22 @@ class FieldWorld(World):
         """What a request's name says about holding the speed; nothing where it is not held."""
         return [self._hold.named()] if self._hold is not None else []
 
+    def _held(self, orders: Sequence[Order]) -> HoldSpeed | None:
+        """With the commands that may be sent for the speeds of these rows; None where they hold none."""
+        if self._hold is None or orders[0].role == "collection":
+            return None
+        return replace(self._hold, commands=self._hold.within(*(order.schedule.commands[0].vx for order in orders)))
+
     def _recordings(self, request: str, orders: Sequence[Order]) -> list[Recording]:
         """What the logs of a bundle hold, in order; writes the bundle and waits if any is missing."""
         if not orders:
             return []
         bundle = self._folder / request
-        held = self._hold is not None and orders[0].role != "collection"
+        hold = self._held(orders)
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             self._mapping()
-            write_bundle(bundle, orders, self._mapping_path(), self._command(), self._facts(request, held))
+            write_bundle(bundle, orders, self._mapping_path(), self._command(), self._facts(request, hold))
         except OSError as error:
             raise WorldError(f"{bundle}: the deploy bundle cannot be written ({error.strerror}).") from error
         files = {order.name: log_files(bundle / "logs", order.name) for order in orders}
@@ -258,7 +265,7 @@ class FieldWorld(World):
         if isinstance(self._robot, VelocityRobot):
             check_readings(firsts, recordings, [order.policy for order in orders])
             check_whose(firsts, recordings, [order.policy for order in orders])
-        if held:
+        if hold is not None:
             field_holding.check_one_command(recordings)
         said = [self._described(bundle, order) for order in orders]
         where = [path for _, path in said]
@@ -358,13 +365,13 @@ class FieldWorld(World):
         """What only the robot gives for the objectives."""
         return field_levels.real_channels(self._objectives, self._registry, self._robot)
 
-    def _facts(self, request: str, held: bool) -> Facts:
+    def _facts(self, request: str, hold: HoldSpeed | None) -> Facts:
         """What a bundle says of the robot and the run."""
         robot, run = self._robot, self._run_folder()
         return Facts(
             spec=robot.spec,
             request=request,
-            hold=self._hold if held else None,
+            hold=hold,
             sim=robot.channels(),
             real=self._real_channels(),
             run=run_configuration(run),

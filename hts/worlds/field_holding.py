@@ -82,7 +82,7 @@ def held(files: Sequence[Path], recording: Recording, hold: HoldSpeed, trimmed: 
             f"{path}: the command moves between {sent.min():.3f} and {sent.max():.3f} m/s, but it was to be frozen for "
             f"the whole block ({asked:g} m/s asked). Cut the trimming off the log, or record the block again."
         )
-    low, high = hold.commands
+    low, high = hold.within(asked)
     if not low - STEADY <= command <= high + STEADY:
         raise RecordingError(
             f"{path}: the command is {command:.3f} m/s, allowed are {low:g} to {high:g}. Trim again inside, and record "

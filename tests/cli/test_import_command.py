@@ -13,6 +13,8 @@ from hts.channels import Channel
 from hts.cli.main import main
 from hts.contracts import LogOnlyRobot, RobotSpec
 from hts.recordings import RecordingStore
+from hts.recordings.on_schedule import NOT_STATED
+from hts.testing.known_signals import known_heat
 
 STEPS = np.arange(600)
 
@@ -186,6 +188,12 @@ def test_lag_and_verdict_need_no_objective(lab):
     ):
         code, _, err = lab("data", "lag", "s.zarr", *which)
         assert code == 2 and len(err) == 1 and expected in err[0], err
+    for which, expected in (
+        ((*CHANNELS, "--input", "rate"), "--input rate: is there twice, expected each channel once"),
+        ((*CHANNELS, "--speed", "nan"), "--speed nan: expected a number, m/s"),
+    ):
+        code, _, err = lab("data", "enough", "s.zarr", *which)
+        assert code == 2 and len(err) == 1 and expected in err[0], err
 
 
 def test_a_verdict_says_what_is_missing_and_exits_with_1(lab):
@@ -196,6 +204,35 @@ def test_a_verdict_says_what_is_missing_and_exits_with_1(lab):
     assert any("no policy is named" in line for line in out)
     found = json.loads("\n".join(lab("data", "enough", "s.zarr", "--objective", "cool", "--json")[1]))
     assert found["enough"] is False and found["seconds"] == 12.0
+
+
+@pytest.mark.parametrize("named", [["--objective", "cool"], CHANNELS])
+def test_a_verdict_without_stated_speeds_exits_with_0_and_with_3_where_one_is_asked_about(lab, tmp_path, named):
+    """Three policies of known heat, 120 s each, as of a machine that has no commanded speed."""
+    store = RecordingStore(tmp_path / "s.zarr", create=True)
+    for seed, (policy, gait) in enumerate((("a", 0.8), ("b", 1.0), ("c", 1.3))):
+        store.write(known_heat(seed, policy, seconds=120.0, gait=gait, notes={"schedule": NOT_STATED}))
+    code, out, _ = lab("data", "enough", "s.zarr", *named)
+    assert code == 0 and out[0].endswith("speeds not stated (recording.schedule in the mapping)")
+    assert out[-1] == "Enough: nothing is missing."
+    code, out, _ = lab("data", "enough", "s.zarr", *named, "--speed", "0.5")
+    assert code == 3 and out[-1] == "Nothing is missing of what can be told."
+    assert out[-2].startswith("cannot be said: whether there are 20 s at 0.5: 360 s")
+    code, out, _ = lab("data", "enough", "s.zarr", *named, "--speed", "0.5", "--json")
+    assert code == 3 and json.loads("\n".join(out))["enough"] is None
+
+
+def test_what_was_commanded_is_listed_only_where_somebody_stated_it(lab):
+    assert lab(*STORE)[0] == 0
+    _, out, _ = lab("data", "ls", "s.zarr")
+    assert "  not stated  " in out[1] and "speeds m/s" in out[0]
+    (one,) = RecordingStore("s.zarr").ids()
+    _, out, _ = lab("data", "show", "s.zarr", one)
+    assert "  schedule: commands not stated" in out
+    stood = {"schedule": {"commands": [{"seconds": 12, "vx": 0}]}}
+    assert lab(*STORE[:-1], "t.zarr", recording=stood)[0] == 0
+    _, out, _ = lab("data", "ls", "t.zarr")
+    assert "  0  " in out[1] and "not stated" not in out[1]
 
 
 def test_a_store_is_exported_and_imported_again(lab, tmp_path):

@@ -102,6 +102,14 @@ def test_each_world_is_trimmed_by_its_own_speed():
     assert row.commanded == pytest.approx((0.32 + 0.72) / 2 / 0.9, abs=0.01)
 
 
+def test_in_simulation_too_trimming_forward_ends_at_standing():
+    """At command 0 these walk 0.68 m/s, and 0.5 m/s are asked."""
+    env = Obedient([[0.7, 0.7]])
+    env.walk_at(torch.zeros(env.batch_size))
+    row = simulate(env, Population(Sizes(3, 3, 1, (4,)), 1), (0.5,), 4.0, 0.1, hold=HoldSpeed((-1.5, 1.5)))[0][0]
+    assert row.commanded == 0.0
+
+
 def test_a_world_that_stood_up_again_while_trimming_fell():
     assert [trial.falls for trial in held([[0.0, 0.0, 0.0, 0.0]], {(0, 0): 10})[0]] == [1, 0]
 

@@ -105,6 +105,26 @@ def test_a_plugin_asks_for_the_hts_of_its_own_version(path):
     assert wanted.specifier == SpecifierSet(f">={major}.{minor},<{major}.{minor + 1}")
 
 
+@pytest.mark.parametrize("path", [*PROJECTS, REPOSITORY / "integrations" / "rsl_rl" / "pyproject.toml"], ids=of_project)
+def test_a_distribution_says_what_an_index_shows(path):
+    """One that is installed alone has its own copies: nothing outside its folder is in its wheel."""
+    project, root = read(path)["project"], SETTINGS["project"]
+    assert {"description", "keywords", "classifiers"} <= set(project)
+    assert (project["license"], project["license-files"]) == (root["license"], ["LICENSE"])
+    assert (path.parent / "LICENSE").read_bytes() == (REPOSITORY / "LICENSE").read_bytes()
+    text = (path.parent / project["readme"]).read_text(encoding="utf-8")
+    assert text.startswith(f"# {project['name']}\n")
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
+    assert project["authors"] == citation["authors"]
+    assert project["urls"] == {"Paper": citation["preferred-citation"]["url"]}
+    supported = SpecifierSet(project["requires-python"])
+    said = {line.rsplit(" ", 1)[1] for line in project["classifiers"] if line.startswith("Programming Language")} - {
+        "3"
+    }
+    assert said == {"3.11", "3.12"} and all(supported.contains(one) for one in said)
+    assert not any(line.startswith("License") for line in project["classifiers"]), "`license` says it"
+
+
 def test_make_builds_every_distribution():
     (line,) = re.findall(r"^DISTRIBUTIONS := (.*)$", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
     assert set(line.split()) == {of_project(path) for path in PROJECTS}

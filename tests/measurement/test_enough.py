@@ -130,9 +130,25 @@ def test_a_fit_that_fails_is_one_line(plenty, monkeypatch):
     assert "\n" not in str(caught.value)
 
 
-def test_schedules_that_nobody_stated_are_asked_for(plenty):
+def test_where_no_speed_is_stated_nothing_is_said_about_speeds_and_the_rest_may_be_enough(plenty):
     unknown = [one.replace(notes={"schedule": "not stated in the mapping"}) for one in plenty]
-    assert any("state the commanded speeds" in line for line in enough(KnownHeat(), unknown).missing)
+    found = enough(KnownHeat(), unknown)
+    assert (found.missing, found.unsaid, found.speeds, found.verdict) == ((), (), {}, True)
+    found = enough(KnownHeat(), unknown, speeds=[0.5])
+    (line,) = found.unsaid
+    assert line.startswith("whether there are 20 s at 0.5: 240 s are of recordings that state no commanded speed")
+    assert (found.missing, found.verdict) == ((), None)
+
+
+def test_a_speed_that_recordings_without_speeds_cannot_fill_up_is_missing(plenty):
+    """None of 240 s is at 1.1; 14 s more are of nobody knows which speed, then 40 s."""
+    short = known_heat(9, "a", seconds=14.0, notes={"schedule": "not stated in the mapping"})
+    found = enough(KnownHeat(), [*plenty, short], speeds=[1.1])
+    assert (found.unsaid, found.verdict) == ((), False)
+    assert found.missing == ("record 20 s more at 1.1: there are 0 s, expected 20",)
+    longer = known_heat(9, "a", seconds=40.0, notes={"schedule": "not stated in the mapping"})
+    found = enough(KnownHeat(), [*plenty, longer], speeds=[1.1, 0.5])
+    assert (found.missing, len(found.unsaid), found.verdict) == ((), 1, None)
 
 
 def test_recordings_that_lack_an_input_are_refused(plenty):

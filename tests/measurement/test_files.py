@@ -99,3 +99,13 @@ def test_a_model_of_another_kind_is_not_mistaken_for_this_one(tmp_path):
     lstm.with_suffix(".json").write_text(json.dumps(card | {"sha256": other["sha256"]}))
     with pytest.raises(PolicyError, match="it holds 'bias', which the model does not have"):
         files.load(lstm)
+
+
+def test_a_folder_is_told_from_a_model_with_the_file_that_a_fit_writes(tmp_path):
+    with pytest.raises(PolicyError) as caught:
+        files.load(tmp_path)
+    wanted = f"{tmp_path / 'model.safetensors'}, which is not there."
+    assert str(caught.value) == f"{tmp_path}: is a folder, expected a measurement model. `hts fit` writes {wanted}"
+    files.save(fitted("linear"), tmp_path / "model")
+    with pytest.raises(PolicyError, match="model.safetensors, which is there: give that path"):
+        files.load(tmp_path)

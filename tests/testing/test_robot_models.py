@@ -181,6 +181,13 @@ SPECS = {
         {"velocity_limit": (-20.0,) * 12},
         "spec.velocity_limit of 'LF_HAA' is -20, expected a number above 0",
     ),
+    "an action scale below 0": (
+        {"action_scale": (0.25,) * 11 + (-0.25,)},
+        "spec.action_scale of 'RH_KFE' is -0.25, expected a number above 0",
+    ),
+    "a stiffness below 0": ({"kp": (-25.0,) * 12}, "spec.kp of 'LF_HAA' is -25, expected a number of at least 0"),
+    "a damping below 0": ({"kd": (-0.5,) * 12}, "spec.kd of 'LF_HAA' is -0.5, expected a number of at least 0"),
+    "a damping without end": ({"kd": (float("inf"),) * 12}, "spec.kd of 'LF_HAA' is inf, expected a number, N·m·s/rad"),
     "degrees": (
         {"default_pose": (0.0, 45.0, -90.0) * 4},
         "spec.default_pose of 'LF_HFE' is 45, expected at most 10 rad (write rad, not degrees)",

@@ -11,6 +11,7 @@ import pytest
 import yaml
 from field_folder import HOLD, SECONDS, bundle, field, fill_in, holding, write_log
 
+from hts.contracts import HoldSpeed
 from hts.errors import ConfigError, RecordingError, WaitingForRobot
 from hts.evaluation.final import falls_by_speed
 from hts.worlds.base import walking
@@ -38,6 +39,22 @@ def test_a_bundle_says_how_to_trim_and_before_which_rows(run, policy):
     with pytest.raises(WaitingForRobot):
         field(run).head_to_head(policy, policy, [0.8])
     assert len([path for path in (run / "field").iterdir() if path.is_dir()]) == 2  # another request
+
+
+def test_a_bundle_of_forward_speeds_allows_no_command_backward(run, policy, robot):
+    """As of a preset whose training commands both ways; its request keeps the name that earlier versions gave it."""
+    world = field(run)
+    world.hold_speed(HoldSpeed((-1.5, 1.5)))
+    with pytest.raises(WaitingForRobot):
+        world.head_to_head(policy, policy, [0.8])
+    assert "Stay between 0 and 1.5 m/s" in (bundle(run) / "README.md").read_text()
+    assert json.loads((bundle(run) / "manifest.json").read_text())["hold"]["commands"] == [0.0, 1.5]
+    assert HoldSpeed((-1.5, 1.5)).named()["commands"] == (-1.5, 1.5)
+    fill_in(run)
+    for number in range(4):
+        write_log(bundle(run) / "logs" / f"{number:02d}.csv", robot, command=-0.1)
+    with pytest.raises(RecordingError, match="the command is -0.100 m/s, allowed are 0 to 1.5"):
+        world.head_to_head(policy, policy, [0.8])
 
 
 def test_a_speed_that_is_walked_again_gets_a_bundle_of_its_own(run, policy, robot):

@@ -44,6 +44,22 @@ def test_a_command_that_would_leave_its_range_stays_at_the_limit_and_says_so():
     assert trimmed(0.8, HoldSpeed((0.95, 1.2))) == HeldCommand(0.95, True)
 
 
+@pytest.mark.parametrize(
+    ("speeds", "commands"), [((0.5, 0.8), (0.0, 1.5)), ((-0.4,), (-1.5, 0.0)), ((0.5, -0.4), (-1.5, 1.5))]
+)
+def test_nobody_is_told_to_walk_the_other_way_whatever_was_trained(speeds, commands):
+    assert HoldSpeed((-1.5, 1.5)).within(*speeds) == commands
+    assert HoldSpeed((0.2, 1.5)).within(*(abs(speed) for speed in speeds)) == (0.2, 1.5)
+
+
+def test_trimming_forward_ends_at_standing():
+    """A robot that walks 0.5 m/s at command 0 would need a command of -0.3 m/s."""
+    fast = Trimming(np.array([0.2, -0.2]), HoldSpeed((-1.5, 1.5)), 0.02)
+    for _ in range(600):
+        fast.see(np.array([0.5, -0.5]) + fast.command)
+    assert fast.found() == [HeldCommand(0.0, True), HeldCommand(0.0, True)]
+
+
 def test_a_fall_while_trimming_is_counted_and_does_not_spoil_the_command():
     found = trimmed(0.8, HOLD, fall_at=400)
     assert found.falls == 1

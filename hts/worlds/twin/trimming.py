@@ -34,7 +34,8 @@ class Trimming:
 
     def __init__(self, asked: np.ndarray, hold: HoldSpeed, period: float) -> None:
         self._asked, self._period = asked, period
-        self._low, self._high = hold.commands
+        ranges = np.array([hold.within(speed) for speed in asked.ravel()]).reshape(*asked.shape, 2)
+        self._low, self._high = ranges[..., 0], ranges[..., 1]
         self.command = np.clip(asked, self._low, self._high)  # (W,), what to send now
         self._settling = min(SETTLING, hold.seconds / 4)
         self._begin = min(self._settling + FINDING, hold.seconds / 2)

@@ -13,6 +13,7 @@ from hts.config import Command, ScheduleConfig
 from hts.contracts import ModelContext, Signals
 from hts.errors import ConfigError, RecordingError
 from hts.measurement.checks import predict
+from hts.measurement.data import input_tensor
 from hts.recordings.recording import Recording, Series
 from hts_power.drive_train_model import DriveTrainSettings, computed_inputs, make
 from hts_power.drive_train_prior import kinds
@@ -126,6 +127,30 @@ def test_a_log_is_predicted_from_the_torque_that_was_fitted_to():
     again = make(model.settings, ModelContext(SIGNALS))  # as a file makes it
     again.load_tensors(model.tensors())
     assert predict(again, new) == pytest.approx(predict(model, new))
+
+
+def test_members_of_an_ensemble_are_each_given_the_torque_that_they_were_fitted_to():
+    """Weights of a torque without noise bill the sensor's noise, as of one model; a third of it where one of three
+    members was fitted to what was read."""
+    from hts.plugins import load
+
+    asked = {"members": 3, "member": {"name": "drive_train"}, "beta": 1.0}
+    model = load().make_measurement_model("ensemble", asked, ModelContext(SIGNALS))
+    report = model.fit([walk(seed, noise=3.0) for seed in range(6)])
+    assert {one["torque"] for one in report["members"]} == {"computed"}
+    new = walk(20, "b", noise=3.0)
+    shown = new.values("battery_current").mean()
+    assert predict(model, new).mean() == pytest.approx(shown, abs=0.05)
+    without = new.replace(channels={k: v for k, v in new.channels.items() if k != "joint_target"})
+    assert predict(model, without).mean() == pytest.approx(shown + 9 * COPPER.sum(), abs=0.05)  # all that it tells
+    again = load().make_measurement_model("ensemble", model.settings, ModelContext(SIGNALS))  # as a file makes it
+    again.load_tensors(model.tensors())
+    assert again.settings == model.settings and predict(again, new) == pytest.approx(predict(model, new))
+    one = model.members[0]  # as where one member drew logs whose targets nobody kept
+    one.config = one.config.model_copy(update={"computed_torque": False})
+    read = input_tensor(SIGNALS, new)
+    assert torch.equal(model.inputs_along(new)[:, 0], read) and not torch.equal(model.inputs_along(new)[:, 1], read)
+    assert predict(model, new).mean() == pytest.approx(shown + 3 * COPPER.sum(), abs=0.05)
 
 
 def test_a_log_whose_read_torque_was_fitted_to_is_predicted_from_that():
