@@ -22,16 +22,30 @@ from hts.policies.layout import Layout
 PAGE = Path(__file__).resolve().parents[2] / "docs/policies-from-elsewhere.md"
 NAMES, OTHER = ("FR_hip", "FR_calf", "FL_hip", "FL_calf"), ("FL_hip", "FR_hip", "FL_calf", "FR_calf")
 SPEC = RobotSpec(
-    name="dog", joint_names=NAMES, default_pose=(0.0, -1.8, 0.1, -1.7), kp=(20.0,) * 4, kd=(0.5,) * 4,
-    action_scale=(0.25, 0.3, 0.35, 0.4), torque_limit=(40.0,) * 4, velocity_limit=(30.0,) * 4,
-    position_limit=((-3.0, 3.0),) * 4, control_rate_hz=50.0, physics_dt=0.005, substeps=4, base_height=0.3,
+    name="dog",
+    joint_names=NAMES,
+    default_pose=(0.0, -1.8, 0.1, -1.7),
+    kp=(20.0,) * 4,
+    kd=(0.5,) * 4,
+    action_scale=(0.25, 0.3, 0.35, 0.4),
+    torque_limit=(40.0,) * 4,
+    velocity_limit=(30.0,) * 4,
+    position_limit=((-3.0, 3.0),) * 4,
+    control_rate_hz=50.0,
+    physics_dt=0.005,
+    substeps=4,
+    base_height=0.3,
     foot_sites=("left_foot", "right_foot"),
-)  # fmt: skip
+)
 POSE, SCALE = (0.1, -0.1, -1.5, -1.4), (0.125, 0.13, 0.26, 0.25)
 SEEN = [
-    ("command", [2.0, 2.0, 0.25]), ("angular_velocity", 0.25), ("joint_position_offset", 1.0),
-    ("projected_gravity", 1.0), ("joint_velocity", 0.05), ("last_action", 0.5),
-]  # fmt: skip
+    ("command", [2.0, 2.0, 0.25]),
+    ("angular_velocity", 0.25),
+    ("joint_position_offset", 1.0),
+    ("projected_gravity", 1.0),
+    ("joint_velocity", 0.05),
+    ("last_action", 0.5),
+]
 
 
 def lines(tmp_path, title: str) -> dict:

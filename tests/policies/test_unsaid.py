@@ -20,10 +20,21 @@ from hts.policies.replay_log import Log
 
 NAMES = ("FR_hip", "FR_calf", "FL_hip", "FL_calf")
 SPEC = RobotSpec(
-    name="dog", joint_names=NAMES, default_pose=(0.0, -1.8, 0.0, -1.8), kp=(20.0,) * 4, kd=(0.5,) * 4,
-    action_scale=(0.25,) * 4, torque_limit=(40.0,) * 4, velocity_limit=(30.0,) * 4, position_limit=((-3.0, 3.0),) * 4,
-    control_rate_hz=50.0, physics_dt=0.005, substeps=4, base_height=0.3, foot_sites=("left_foot", "right_foot"),
-)  # fmt: skip
+    name="dog",
+    joint_names=NAMES,
+    default_pose=(0.0, -1.8, 0.0, -1.8),
+    kp=(20.0,) * 4,
+    kd=(0.5,) * 4,
+    action_scale=(0.25,) * 4,
+    torque_limit=(40.0,) * 4,
+    velocity_limit=(30.0,) * 4,
+    position_limit=((-3.0, 3.0),) * 4,
+    control_rate_hz=50.0,
+    physics_dt=0.005,
+    substeps=4,
+    base_height=0.3,
+    foot_sites=("left_foot", "right_foot"),
+)
 STATED = Contract(NAMES, SPEC.default_pose, SPEC.action_scale, SPEC.kp, SPEC.kd, 50.0, (0.0, 0.0))
 SIZES = {"base_ang_vel": 3, "projected_gravity": 3, "commands": 3, "dof_pos": 4, "dof_vel": 4, "actions": 4}
 PARTS = tuple({"name": name, "size": size} for name, size in SIZES.items())
@@ -106,8 +117,13 @@ def test_actions_and_observations_in_different_orders_of_joints_are_refused(tmp_
 def test_the_groups_that_rsl_rl_gives_the_actor_follow_one_another(tmp_path):
     names = [part["name"] for part in source_beside(isaac(tmp_path)).observation]
     assert names == [
-        "angular_velocity", "projected_gravity", "joint_position_offset", "joint_velocity", "last_action", "command",
-    ]  # fmt: skip
+        "angular_velocity",
+        "projected_gravity",
+        "joint_position_offset",
+        "joint_velocity",
+        "last_action",
+        "command",
+    ]
 
 
 def test_a_group_that_the_file_does_not_describe_is_asked_for(tmp_path):
@@ -163,9 +179,7 @@ def test_torques_that_were_computed_with_their_targets_are_told_from_measured_on
     given, pose = seen.double().numpy(), np.array(SPEC.default_pose)
     target, position, velocity = pose + 0.25 * actions.double().numpy(), given[:, 9:13] + pose, given[:, 13:17]
     torque = 20.0 * (target - position) - 0.5 * velocity
-    joints = {
-        "joint_target": target, "joint_position": position, "joint_velocity": velocity, "joint_torque": torque
-    }  # fmt: skip
+    joints = {"joint_target": target, "joint_position": position, "joint_velocity": velocity, "joint_torque": torque}
     vectors = {"angular_velocity": given[:, :3], "projected_gravity": given[:, 3:6], "command": given[:, 6:9]}
     stamps = np.arange(300) / 50.0
     log = Log(tmp_path / "walk.npz", stamps, NAMES, given, actions.double().numpy(), joints, vectors)
