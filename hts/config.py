@@ -143,7 +143,7 @@ class FinetuneConfig(Config):
         return shares_of("training", shares)
 
     @model_validator(mode="after")
-    def _a_batch_has_so_many_parts(self) -> FinetuneConfig:
+    def _batches_fit_their_parts_and_the_policy(self) -> FinetuneConfig:
         check_minibatches(self.ppo, self.num_envs)
         check_warmup(self.ppo, self.num_envs, self.steps)
         return self
@@ -165,7 +165,7 @@ class PretrainConfig(Config):
     env: EnvConfig = Field(default_factory=EnvConfig, description="what it learns in")
 
     @model_validator(mode="after")
-    def _a_batch_has_so_many_parts(self) -> PretrainConfig:
+    def _batches_fit_their_parts_and_the_policy(self) -> PretrainConfig:
         check_minibatches(self.ppo, self.num_envs)
         check_warmup(self.ppo, self.num_envs, self.steps)
         return self

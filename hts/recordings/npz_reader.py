@@ -42,9 +42,8 @@ def read_table(path: Path, wanted: Sequence[ColumnName], log: LogMapping) -> Tab
         with zipfile.ZipFile(path) as file:
             members = {name.removesuffix(".npy"): one for one in file.infolist() if (name := one.filename)}
             places = {column: place_of(path, str(column), list(members)) for column in (time, *wanted)}
-            names = dict.fromkeys(
-                name for name, _ in places.values()
-            )  # in order: which of two is told hangs on no hash
+            # In their order, so that which of two faults is told hangs on no hash.
+            names = dict.fromkeys(name for name, _ in places.values())
             arrays = {name: read_array(path, name, file, members[name]) for name in names}
     except OSError as error:
         raise cannot_be_read(path, error) from error

@@ -1,4 +1,4 @@
-"""A dog of two joints, the robot of most of these tests."""
+"""Dogs of two and of four joints, the robots of most of these tests."""
 
 from __future__ import annotations
 
@@ -24,3 +24,21 @@ SPEC = RobotSpec(
 )
 UNEVEN = replace(SPEC, action_scale=(0.25, 0.5), foot_sites=())
 """With joints that differ, so that a swapped order shows; and no feet."""
+
+FOUR = RobotSpec(
+    name="dog",
+    joint_names=("FR_hip", "FR_calf", "FL_hip", "FL_calf"),
+    default_pose=(0.0, -1.8, 0.0, -1.8),
+    kp=(20.0,) * 4,
+    kd=(0.5,) * 4,
+    action_scale=(0.25,) * 4,
+    torque_limit=(40.0,) * 4,
+    velocity_limit=(30.0,) * 4,
+    position_limit=((-3.0, 3.0),) * 4,
+    control_rate_hz=50.0,
+    physics_dt=0.005,
+    substeps=4,
+    base_height=0.3,
+    foot_sites=("left_foot", "right_foot"),
+)
+"""Two legs of two joints: what the libraries of others name and order in ways of their own."""

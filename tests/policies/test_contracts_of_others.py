@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 import torch
+from dog import FOUR as SPEC
 from torch import nn
 
-from hts.contracts import RobotSpec
 from hts.errors import ConfigError, PolicyError
 from hts.policies.contract import Contract, per_joint
 from hts.policies.importing import import_whole
@@ -18,23 +18,7 @@ from hts.policies.source import sized
 from hts.policies.translate import REACH
 from hts.rl.population import Population
 
-NAMES = ("FR_hip", "FR_calf", "FL_hip", "FL_calf")
-SPEC = RobotSpec(
-    name="dog",
-    joint_names=NAMES,
-    default_pose=(0.0, -1.8, 0.0, -1.8),
-    kp=(20.0,) * 4,
-    kd=(0.5,) * 4,
-    action_scale=(0.25,) * 4,
-    torque_limit=(40.0,) * 4,
-    velocity_limit=(30.0,) * 4,
-    position_limit=((-3.0, 3.0),) * 4,
-    control_rate_hz=50.0,
-    physics_dt=0.005,
-    substeps=4,
-    base_height=0.3,
-    foot_sites=("left_foot", "right_foot"),
-)
+NAMES = SPEC.joint_names
 
 MJLAB = """
 decimation: 4

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import re
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from dog import FOUR
 from torch import nn
 
-from hts.contracts import RobotSpec
 from hts.policies.contract import Contract
 from hts.policies.export import to_onnx
 from hts.policies.files import save_policy
@@ -20,23 +21,8 @@ from hts.policies.layers import actions_of
 from hts.policies.layout import Layout
 
 PAGE = Path(__file__).resolve().parents[2] / "docs/policies-from-elsewhere.md"
-NAMES, OTHER = ("FR_hip", "FR_calf", "FL_hip", "FL_calf"), ("FL_hip", "FR_hip", "FL_calf", "FR_calf")
-SPEC = RobotSpec(
-    name="dog",
-    joint_names=NAMES,
-    default_pose=(0.0, -1.8, 0.1, -1.7),
-    kp=(20.0,) * 4,
-    kd=(0.5,) * 4,
-    action_scale=(0.25, 0.3, 0.35, 0.4),
-    torque_limit=(40.0,) * 4,
-    velocity_limit=(30.0,) * 4,
-    position_limit=((-3.0, 3.0),) * 4,
-    control_rate_hz=50.0,
-    physics_dt=0.005,
-    substeps=4,
-    base_height=0.3,
-    foot_sites=("left_foot", "right_foot"),
-)
+NAMES, OTHER = FOUR.joint_names, ("FL_hip", "FR_hip", "FL_calf", "FR_calf")
+SPEC = replace(FOUR, default_pose=(0.0, -1.8, 0.1, -1.7), action_scale=(0.25, 0.3, 0.35, 0.4))
 POSE, SCALE = (0.1, -0.1, -1.5, -1.4), (0.125, 0.13, 0.26, 0.25)
 SEEN = [
     ("command", [2.0, 2.0, 0.25]),

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from dog import FOUR as SPEC
 from torch import nn
 
-from hts.contracts import RobotSpec
 from hts.errors import PolicyError
 from hts.policies.contract import Contract
 from hts.policies.importing import import_whole
@@ -18,23 +18,7 @@ from hts.policies.params import source_beside
 from hts.policies.replay import replay
 from hts.policies.replay_log import Log
 
-NAMES = ("FR_hip", "FR_calf", "FL_hip", "FL_calf")
-SPEC = RobotSpec(
-    name="dog",
-    joint_names=NAMES,
-    default_pose=(0.0, -1.8, 0.0, -1.8),
-    kp=(20.0,) * 4,
-    kd=(0.5,) * 4,
-    action_scale=(0.25,) * 4,
-    torque_limit=(40.0,) * 4,
-    velocity_limit=(30.0,) * 4,
-    position_limit=((-3.0, 3.0),) * 4,
-    control_rate_hz=50.0,
-    physics_dt=0.005,
-    substeps=4,
-    base_height=0.3,
-    foot_sites=("left_foot", "right_foot"),
-)
+NAMES = SPEC.joint_names
 STATED = Contract(NAMES, SPEC.default_pose, SPEC.action_scale, SPEC.kp, SPEC.kd, 50.0, (0.0, 0.0))
 SIZES = {"base_ang_vel": 3, "projected_gravity": 3, "commands": 3, "dof_pos": 4, "dof_vel": 4, "actions": 4}
 PARTS = tuple({"name": name, "size": size} for name, size in SIZES.items())

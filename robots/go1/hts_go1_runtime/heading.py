@@ -18,7 +18,7 @@ STRAIGHT = 0
 class Heading:
     """That of the first step of a walk, by the robot's IMU: all that is steered by where there is room."""
 
-    phase, turns = STRAIGHT, 0
+    phase = STRAIGHT
 
     def __init__(self) -> None:
         self._wanted: float | None = None

@@ -24,6 +24,7 @@ from hts_go1_runtime.policy import Policy
 from hts_go1_runtime.trained import ranges_of, turns
 
 TURNING, SETTLING = 1, 2
+# Chosen, and tried with stand-ins alone (docs/deployment.md, In a room); none was found on a robot.
 TURN_RATE, LEAST_TURN_RATE = 0.8, 0.3  # rad/s commanded in a turn; slower than the latter nobody is turned round
 SLOWING = 2.0  # rad/s per rad: near its end a turn is commanded ever slower
 TURNED = 0.15  # rad from the new heading at which a turn is over; the rest is the settling's
@@ -59,7 +60,7 @@ class Lane(Heading):
         self._straight, self._period, self._settle, self._measured, self._say = straight, period, settle, measured, say
         self._forward, self._rate = turn
         self._most = TURN_SHARE * math.pi / self._rate
-        self.phase, self.turns = STRAIGHT, 0
+        self.phase = STRAIGHT
         self._axis: float | None = None  # heading of the way out
         self._at, self._aside, self._out = 0.0, 0.0, True  # m along the axis and to its left; whether it walks out
         self._leg, self._told = straight, 0.0  # m that were left as this leg began, and that were commanded in it
@@ -88,7 +89,7 @@ class Lane(Heading):
         elif self.phase == TURNING and self._goal - self._turned <= TURNED:
             self._say("turned round", seconds=round(self._seconds, 1), along_m=round(self._at, 1))
             self._begins(SETTLING)
-            self._out, self.turns, self._asked_round = not self._out, self.turns + 1, False
+            self._out, self._asked_round = not self._out, False
             self._leg, self._told = self._left(), 0.0
         elif self.phase == SETTLING and self._seconds >= self._settle - self._period / 2:
             self._begins(STRAIGHT)
